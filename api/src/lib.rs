@@ -1,0 +1,16 @@
+//! Wire types of the Lightshaft HTTP API: ids, units, settings, problem details, and the typed client.
+//!
+//! JSON is `snake_case`; times are RFC 3339 in UTC; sizes are in bytes and durations in seconds unless a name says
+//! otherwise. Types that come from outside deny unknown fields, so that a misspelt setting is an error with a name.
+
+pub mod client;
+pub mod event;
+pub mod job;
+pub mod lease;
+pub mod mesh;
+pub mod page;
+pub mod problem;
+pub mod scene;
+pub mod settings;
+pub mod status;
+pub mod worker;

@@ -1,0 +1,286 @@
+//! Settings of a render job. Every field has a default; unknown fields are refused.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::problem::FieldError;
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RenderSettings {
+    pub integrator: Integrator,
+    /// Pixels, 1 to 16384.
+    pub width: u32,
+    /// Pixels, 1 to 16384.
+    pub height: u32,
+    /// Samples per pixel, 1 to 1048576.
+    pub spp: u32,
+    pub seed: u32,
+    /// Longest path after the first hit (path), or longest chain of mirrors (whitted); 0 to 64.
+    pub max_bounces: u32,
+    /// Rays of ambient occlusion per pixel sample, 1 to 1024.
+    pub ao_samples: u32,
+    /// Reach of ambient occlusion in world units; a tenth of the scene's diagonal when null.
+    pub ao_distance: Option<f32>,
+    pub device: DeviceChoice,
+    /// Part of the GPU adapter's name, case-insensitive; any adapter when null.
+    pub adapter: Option<String>,
+    /// A camera of the scene by name or number, or one given here; null takes the scene's first, or frames the scene.
+    pub camera: Option<CameraChoice>,
+    /// Constant radiance or a map; null is black unless the scene has no light at all, which gets a grey sky of 1.
+    pub environment: Option<Environment>,
+    /// Lights beside the scene's own.
+    pub lights: Vec<Light>,
+    pub ground: Option<Ground>,
+    pub outputs: Vec<Output>,
+    /// First-hit layers for the EXR.
+    pub aovs: Vec<AovName>,
+    pub tone_map: ToneMap,
+    /// Stops: the picture is multiplied by `2^exposure` before tone mapping; -32 to 32.
+    pub exposure: f32,
+    pub acceleration: Acceleration,
+    /// Stop after the pass in which this much time has passed, with the samples there are; null for no limit.
+    pub time_limit_s: Option<f64>,
+    /// Cut the job into tasks that several workers can share; null renders it as one.
+    pub split: Option<Split>,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            integrator: Integrator::Path,
+            width: 640,
+            height: 480,
+            spp: 16,
+            seed: 1,
+            max_bounces: 4,
+            ao_samples: 16,
+            ao_distance: None,
+            device: DeviceChoice::Auto,
+            adapter: None,
+            camera: None,
+            environment: None,
+            lights: Vec::new(),
+            ground: None,
+            outputs: vec![Output::Png, Output::Exr],
+            aovs: Vec::new(),
+            tone_map: ToneMap::PbrNeutral,
+            exposure: 0.0,
+            acceleration: Acceleration::default(),
+            time_limit_s: None,
+            split: None,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    Aov,
+    Ao,
+    Direct,
+    Whitted,
+    Path,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DeviceChoice {
+    /// A GPU where there is a real one, the CPU otherwise (software adapters such as lavapipe are only used by `gpu`).
+    Auto,
+    Cpu,
+    Gpu,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum CameraChoice {
+    Index(u32),
+    Name(String),
+    Custom(CustomCamera),
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CustomCamera {
+    pub position: [f32; 3],
+    pub target: [f32; 3],
+    #[serde(default = "up_y")]
+    pub up: [f32; 3],
+    /// Vertical field of view; 40 when neither this nor `half_height` is given.
+    #[serde(default)]
+    pub fov_y_deg: Option<f32>,
+    /// Orthographic instead: half the height of the view in world units.
+    #[serde(default)]
+    pub half_height: Option<f32>,
+}
+
+fn up_y() -> [f32; 3] {
+    [0.0, 1.0, 0.0]
+}
+
+/// A number (grey radiance), `[r, g, b]`, or a map uploaded to `/v1/blobs`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum Environment {
+    Grey(f32),
+    Color([f32; 3]),
+    Map(EnvironmentMap),
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EnvironmentMap {
+    /// Hash of an equirectangular .hdr or .exr in the blob store.
+    pub map: String,
+    #[serde(default = "one")]
+    pub intensity: f32,
+    /// About +Y.
+    #[serde(default)]
+    pub rotation_deg: f32,
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Light {
+    pub kind: LightKind,
+    /// Linear colour.
+    #[serde(default = "white")]
+    pub color: [f32; 3],
+    /// Candela (point, spot) or lux (directional).
+    #[serde(default = "one")]
+    pub intensity: f32,
+    /// World space; required for point and spot.
+    #[serde(default)]
+    pub position: Option<[f32; 3]>,
+    /// Where it shines to; required for directional and spot.
+    #[serde(default)]
+    pub direction: Option<[f32; 3]>,
+    #[serde(default)]
+    pub range: Option<f32>,
+    /// Spot cone half angles, 0 <= inner < outer <= 90.
+    #[serde(default)]
+    pub inner_cone_deg: Option<f32>,
+    #[serde(default)]
+    pub outer_cone_deg: Option<f32>,
+}
+
+fn white() -> [f32; 3] {
+    [1.0; 3]
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LightKind {
+    Point,
+    Spot,
+    Directional,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ground {
+    /// World height; the scene's lowest point when null.
+    pub height: Option<f32>,
+    /// Half side length; 20 scene radii when null.
+    pub half_size: Option<f32>,
+    pub albedo: [f32; 3],
+    pub roughness: f32,
+}
+
+impl Default for Ground {
+    fn default() -> Self {
+        Self { height: None, half_size: None, albedo: [0.5; 3], roughness: 1.0 }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Output {
+    Png,
+    Exr,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AovName {
+    Depth,
+    Position,
+    GeometricNormal,
+    ShadingNormal,
+    Albedo,
+    InstanceId,
+    PrimitiveId,
+    MaterialId,
+    BoxTests,
+    TriangleTests,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ToneMap {
+    /// Khronos PBR Neutral.
+    PbrNeutral,
+    Agx,
+    /// Clamp to 0..1.
+    None,
+}
+
+/// Which spatial structure rays are traced over.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Acceleration {
+    pub structure: StructureKind,
+    pub quality: BuildQuality,
+    pub spatial_splits: bool,
+}
+
+impl Default for Acceleration {
+    fn default() -> Self {
+        Self { structure: StructureKind::TwoLevel, quality: BuildQuality::Medium, spatial_splits: false }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StructureKind {
+    /// One BVH per mesh under a BVH of instances.
+    TwoLevel,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BuildQuality {
+    Fast,
+    Medium,
+    High,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Split {
+    /// Columns and rows of tiles, 1 to 64 each.
+    Tiles([u32; 2]),
+    /// Equal shares of the samples, 2 to 256.
+    Passes(u32),
+}
+
+impl RenderSettings {
+    /// Every field that is out of range, with a pointer below `prefix` (such as `/settings`).
+    pub fn validate(&self, prefix: &str) -> Vec<FieldError> {
+        let mut errors = Vec::new();
+        let mut check = |ok: bool, field: &str, detail: &str| {
+            if !ok {
+                errors.push(FieldError::new(format!("{prefix}/{field}"), detail));
+            }
+        };
+        check((1..=16384).contains(&self.width), "width", "must be 1 to 16384 pixels");
+        check((1..=16384).contains(&self.height), "height", "must be 1 to 16384 pixels");
+        check((1..=1 << 20).contains(&self.spp), "spp", "must be 1 to 1048576 samples per pixel");
+        errors
+    }
+}

@@ -1,0 +1,71 @@
+//! Workers as they register and as the API shows them.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewWorker {
+    /// The id that an earlier registration gave, kept on the worker's disk.
+    #[serde(default)]
+    pub id: Option<String>,
+    pub name: String,
+    pub version: String,
+    pub devices: Vec<Device>,
+    #[serde(default)]
+    pub tags: Vec<String>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Device {
+    /// `cpu` or `gpu`.
+    pub kind: String,
+    pub name: String,
+    #[serde(default)]
+    pub driver: String,
+    #[serde(default)]
+    pub backend: String,
+    /// `DiscreteGpu`, `IntegratedGpu`, `VirtualGpu` or `Cpu`.
+    #[serde(default)]
+    pub device_type: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Registered {
+    pub id: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Worker {
+    pub id: String,
+    pub name: String,
+    pub version: String,
+    pub devices: Vec<Device>,
+    pub tags: Vec<String>,
+    /// `idle`, `busy`, `draining` or `gone`.
+    pub state: String,
+    pub draining: bool,
+    pub registered_at: Timestamp,
+    pub last_seen_at: Timestamp,
+    /// Job and task that it works on.
+    pub current: Option<CurrentWork>,
+    pub tasks_done: u64,
+    pub cache: CacheStatus,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CurrentWork {
+    pub job: String,
+    pub task: String,
+}
+
+/// What a worker's structure cache holds.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CacheStatus {
+    pub memory_bytes: u64,
+    pub memory_budget_bytes: u64,
+    pub disk_bytes: u64,
+    pub entries: u64,
+}

@@ -1,0 +1,1 @@
+//! The CPU device: rayon over tiles, native kernels.

@@ -1,0 +1,1 @@
+//! The GPU device: wgpu compute, wavefront kernels.

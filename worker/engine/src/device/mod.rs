@@ -1,0 +1,127 @@
+//! Devices: a device renders passes over a packed scene. `cpu` is native Rust, `gpu` is wgpu compute.
+
+use std::sync::Arc;
+
+use crate::film::{AovBuffers, PassFilm};
+use crate::pack::PackedScene;
+use crate::settings::RenderSettings;
+use crate::trace::Counters;
+
+pub mod cpu;
+pub mod gpu;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceInfo {
+    /// `cpu` or `gpu`.
+    pub kind: &'static str,
+    /// Such as `AVX2, 2 threads` or the adapter's name.
+    pub name: String,
+    /// GPU only: driver name and version.
+    pub driver: String,
+    /// `Vulkan`, `Metal`, `Dx12`; empty for the CPU.
+    pub backend: String,
+    /// `DiscreteGpu`, `IntegratedGpu`, `VirtualGpu`, `Cpu`.
+    pub device_type: String,
+    /// Largest storage-buffer binding, bytes (GPU only).
+    pub max_binding_bytes: u64,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// No adapter, or none of the asked name: the message lists what there is.
+    #[error("no GPU: {0}")]
+    NoAdapter(String),
+    /// The scene cannot be held by this device.
+    #[error("{0}")]
+    TooLarge(String),
+    /// Lost, and a retry on a new device failed as well.
+    #[error("the GPU was lost: {0}")]
+    Lost(String),
+    #[error("the render was cancelled")]
+    Cancelled,
+    #[error("{0}")]
+    Other(String),
+}
+
+/// A rectangle of pixels; `x` to the right, `y` down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    pub x: u32,
+    pub y: u32,
+    pub width: u32,
+    pub height: u32,
+}
+
+impl Region {
+    pub fn full(settings: &RenderSettings) -> Self {
+        Self { x: 0, y: 0, width: settings.width, height: settings.height }
+    }
+
+    pub fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+}
+
+/// Samples `first_sample .. first_sample + samples` of every pixel in `region`.
+#[derive(Clone, Copy, Debug)]
+pub struct Pass {
+    pub region: Region,
+    pub first_sample: u32,
+    pub samples: u32,
+}
+
+/// Rays traced, by kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RayCounts {
+    pub primary: u64,
+    pub shadow: u64,
+    pub ao: u64,
+    pub indirect: u64,
+}
+
+impl RayCounts {
+    pub fn total(&self) -> u64 {
+        self.primary + self.shadow + self.ao + self.indirect
+    }
+}
+
+impl std::ops::AddAssign for RayCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.primary += other.primary;
+        self.shadow += other.shadow;
+        self.ao += other.ao;
+        self.indirect += other.indirect;
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PassStats {
+    pub rays: RayCounts,
+    pub counters: Counters,
+    /// Seconds in which rays were traced and shaded (without upload and read-back).
+    pub seconds: f64,
+}
+
+/// Asked between tiles: rendering stops within one tile (tens of milliseconds) once it answers true.
+pub type CancelCheck<'a> = &'a (dyn Fn() -> bool + Sync);
+
+pub trait Device: Send {
+    fn info(&self) -> DeviceInfo;
+
+    /// Uploads the scene (a no-op on the CPU).
+    fn prepare(&mut self, scene: Arc<PackedScene>, settings: &RenderSettings)
+    -> Result<Box<dyn Renderer>, DeviceError>;
+}
+
+/// A scene on a device, ready to render passes of one job.
+pub trait Renderer: Send {
+    /// Adds the pass's samples to the film.
+    fn render(&mut self, pass: &Pass, film: &mut PassFilm, cancel: CancelCheck<'_>) -> Result<PassStats, DeviceError>;
+
+    /// First-hit AOVs of a region, through pixel centres.
+    fn aovs(&mut self, region: Region, out: &mut AovBuffers, cancel: CancelCheck<'_>)
+    -> Result<PassStats, DeviceError>;
+
+    /// Bytes that the device holds for this scene.
+    fn device_bytes(&self) -> u64;
+}

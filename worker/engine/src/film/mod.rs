@@ -1,0 +1,62 @@
+//! Film: sample sums, AOVs, tone mapping, PNG and EXR.
+
+use crate::device::Region;
+use crate::settings::Aov;
+
+/// Sums of linear radiance for a region. Sums are f64 so that splitting a job into passes does not change the picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PassFilm {
+    pub region: Region,
+    /// RGB sums, row-major.
+    pub sum: Vec<[f64; 3]>,
+    /// Samples in every sum.
+    pub samples: u32,
+}
+
+impl PassFilm {
+    pub fn new(region: Region) -> Self {
+        Self { region, sum: vec![[0.0; 3]; region.pixels()], samples: 0 }
+    }
+
+    /// Mean linear radiance, row-major; black before the first sample.
+    pub fn mean(&self) -> Vec<[f32; 3]> {
+        let scale = if self.samples == 0 { 0.0 } else { 1.0 / f64::from(self.samples) };
+        self.sum.iter().map(|s| s.map(|c| (c * scale) as f32)).collect()
+    }
+}
+
+/// One layer of first-hit values for a region, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AovLayer {
+    Scalar(Vec<f32>),
+    Vector(Vec<[f32; 3]>),
+    /// Ids (`u32::MAX` on a miss) and counts.
+    Integer(Vec<u32>),
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct AovBuffers {
+    pub region: Region,
+    pub layers: Vec<(Aov, AovLayer)>,
+}
+
+impl AovBuffers {
+    pub fn new(region: Region, aovs: &[Aov]) -> Self {
+        let n = region.pixels();
+        let layers = aovs
+            .iter()
+            .map(|&aov| {
+                let layer = match aov {
+                    Aov::Depth => AovLayer::Scalar(vec![f32::INFINITY; n]),
+                    Aov::Position | Aov::GeometricNormal | Aov::ShadingNormal | Aov::Albedo => {
+                        AovLayer::Vector(vec![[0.0; 3]; n])
+                    }
+                    Aov::InstanceId | Aov::PrimitiveId | Aov::MaterialId => AovLayer::Integer(vec![u32::MAX; n]),
+                    Aov::BoxTests | Aov::TriangleTests => AovLayer::Integer(vec![0; n]),
+                };
+                (aov, layer)
+            })
+            .collect();
+        Self { region, layers }
+    }
+}

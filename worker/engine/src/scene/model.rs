@@ -1,0 +1,276 @@
+//! The scene model: unique meshes, the instances that place them, and what they look like.
+//!
+//! A [`Mesh`] is one glTF mesh with all its primitives merged; each triangle (and each sphere) carries a *slot*, and
+//! each [`Instance`] says which material every slot has. So two instances of one geometry with different materials
+//! still share one mesh, one hash and one spatial structure.
+
+use std::fmt;
+use std::sync::Arc;
+
+use glam::{Affine3A, Vec3};
+
+/// BLAKE3 over a mesh's canonical content. Written as 64 lower-case hex digits.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MeshHash(pub [u8; 32]);
+
+impl fmt::Display for MeshHash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for byte in self.0 {
+            write!(f, "{byte:02x}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Debug for MeshHash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// An axis-aligned box. The empty box has `min > max`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    pub min: Vec3,
+    pub max: Vec3,
+}
+
+impl Aabb {
+    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+
+    pub fn grow(&mut self, point: Vec3) {
+        self.min = self.min.min(point);
+        self.max = self.max.max(point);
+    }
+
+    pub fn union(self, other: Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.min.cmpgt(self.max).any()
+    }
+
+    pub fn center(&self) -> Vec3 {
+        0.5 * (self.min + self.max)
+    }
+
+    pub fn extent(&self) -> Vec3 {
+        self.max - self.min
+    }
+}
+
+/// A whole scene, independent of any job's settings.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    pub name: String,
+    /// Unique meshes: no two have the same hash.
+    pub meshes: Vec<Arc<Mesh>>,
+    pub instances: Vec<Instance>,
+    pub materials: Vec<Material>,
+    pub textures: Vec<Texture>,
+    pub images: Vec<Arc<Image>>,
+    pub lights: Vec<PunctualLight>,
+    pub cameras: Vec<Camera>,
+    /// What was skipped or repaired on import, in plain words.
+    pub warnings: Vec<String>,
+}
+
+/// One unique mesh in object space. All per-vertex arrays are empty or as long as `positions`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    pub hash: MeshHash,
+    pub name: String,
+    pub positions: Vec<Vec3>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Material slot of each triangle.
+    pub triangle_slots: Vec<u32>,
+    pub normals: Vec<Vec3>,
+    /// xyz and handedness, as glTF's TANGENT.
+    pub tangents: Vec<[f32; 4]>,
+    pub uv0: Vec<[f32; 2]>,
+    pub uv1: Vec<[f32; 2]>,
+    /// Linear RGBA.
+    pub colors: Vec<[f32; 4]>,
+    /// Spheres are numbered after the triangles: primitive `triangles.len() + i` is sphere `i`.
+    pub spheres: Vec<Sphere>,
+    /// How many material slots the mesh has.
+    pub slots: u32,
+    pub bounds: Aabb,
+}
+
+impl Mesh {
+    /// Triangles and spheres together.
+    pub fn primitive_count(&self) -> usize {
+        self.triangles.len() + self.spheres.len()
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sphere {
+    pub center: Vec3,
+    pub radius: f32,
+    pub slot: u32,
+}
+
+#[derive(Clone, Debug)]
+pub struct Instance {
+    pub name: String,
+    /// Index into [`Scene::meshes`].
+    pub mesh: u32,
+    pub transform: Affine3A,
+    /// Index into [`Scene::materials`] for each of the mesh's slots.
+    pub materials: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum AlphaMode {
+    #[default]
+    Opaque,
+    Mask,
+    Blend,
+}
+
+/// glTF metallic-roughness. Texture fields index [`Scene::textures`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    pub name: String,
+    pub base_color: [f32; 4],
+    pub base_color_texture: Option<TextureRef>,
+    pub metallic: f32,
+    pub roughness: f32,
+    pub metallic_roughness_texture: Option<TextureRef>,
+    pub normal_texture: Option<TextureRef>,
+    pub normal_scale: f32,
+    pub occlusion_texture: Option<TextureRef>,
+    pub occlusion_strength: f32,
+    /// Linear emitted radiance, KHR_materials_emissive_strength multiplied in.
+    pub emissive: Vec3,
+    pub emissive_texture: Option<TextureRef>,
+    pub alpha_mode: AlphaMode,
+    pub alpha_cutoff: f32,
+    pub double_sided: bool,
+    pub unlit: bool,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            base_color: [1.0; 4],
+            base_color_texture: None,
+            metallic: 1.0,
+            roughness: 1.0,
+            metallic_roughness_texture: None,
+            normal_texture: None,
+            normal_scale: 1.0,
+            occlusion_texture: None,
+            occlusion_strength: 1.0,
+            emissive: Vec3::ZERO,
+            emissive_texture: None,
+            alpha_mode: AlphaMode::Opaque,
+            alpha_cutoff: 0.5,
+            double_sided: false,
+            unlit: false,
+        }
+    }
+}
+
+/// A use of a texture by a material.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextureRef {
+    /// Index into [`Scene::textures`].
+    pub texture: u32,
+    /// 0 or 1.
+    pub uv_set: u32,
+    /// Rows of the 2x3 matrix that maps (u, v, 1) to the texture's coordinates (KHR_texture_transform).
+    pub transform: [[f32; 3]; 2],
+}
+
+impl TextureRef {
+    pub const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Wrap {
+    #[default]
+    Repeat,
+    MirroredRepeat,
+    ClampToEdge,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Filter {
+    Nearest,
+    #[default]
+    Linear,
+}
+
+/// An image with its sampler.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Texture {
+    /// Index into [`Scene::images`].
+    pub image: u32,
+    pub wrap_u: Wrap,
+    pub wrap_v: Wrap,
+    /// The magnification filter; there are no mip levels, supersampling takes their place.
+    pub filter: Filter,
+}
+
+/// Decoded RGBA, 8 bits a channel, row 0 at the top (v = 0), as stored in the file (colour space is the user's business).
+#[derive(Clone, PartialEq, Eq)]
+pub struct Image {
+    pub name: String,
+    pub width: u32,
+    pub height: u32,
+    pub rgba8: Vec<u8>,
+}
+
+impl fmt::Debug for Image {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Image({:?}, {}x{})", self.name, self.width, self.height)
+    }
+}
+
+/// KHR_lights_punctual in world space.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PunctualLight {
+    pub name: String,
+    pub position: Vec3,
+    /// Unit vector along which the light shines (node's -Z).
+    pub direction: Vec3,
+    /// Linear colour times intensity: candela (point, spot) or lux (directional).
+    pub intensity: Vec3,
+    /// Infinite when not given.
+    pub range: f32,
+    pub kind: PunctualKind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PunctualKind {
+    Point,
+    Directional,
+    Spot { inner_cone_rad: f32, outer_cone_rad: f32 },
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    pub name: String,
+    pub position: Vec3,
+    /// Unit.
+    pub forward: Vec3,
+    /// Unit, orthogonal to `forward`.
+    pub up: Vec3,
+    pub projection: Projection,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    Perspective {
+        fov_y_rad: f32,
+    },
+    /// Half height of the view in world units (glTF `ymag`).
+    Orthographic {
+        half_height: f32,
+    },
+}

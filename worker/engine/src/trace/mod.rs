@@ -1,0 +1,45 @@
+//! Rays, hits, and the CPU kernels that bring them together.
+
+use glam::Vec3;
+
+/// A ray segment `origin + t * direction`, `t_min < t < t_max`. The direction need not be a unit vector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    pub origin: Vec3,
+    pub t_min: f32,
+    pub direction: Vec3,
+    pub t_max: f32,
+}
+
+impl Ray {
+    pub fn new(origin: Vec3, direction: Vec3) -> Self {
+        Self { origin, t_min: 0.0, direction, t_max: f32::INFINITY }
+    }
+}
+
+/// Where a ray meets a surface. `t` is in units of the ray's direction, in world and object space alike.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    pub t: f32,
+    /// Barycentric coordinates of vertices 1 and 2 (triangles); unused for spheres.
+    pub u: f32,
+    pub v: f32,
+    /// Index into the scene's instances.
+    pub instance: u32,
+    /// Triangle index in the mesh, or `triangle_count + sphere index`.
+    pub primitive: u32,
+}
+
+/// Work that one or many rays did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    pub box_tests: u64,
+    pub triangle_tests: u64,
+}
+
+impl std::ops::AddAssign for Counters {
+    fn add_assign(&mut self, other: Self) {
+        self.box_tests += other.box_tests;
+        self.triangle_tests += other.triangle_tests;
+    }
+}
