@@ -200,12 +200,62 @@ pub struct Metrics {
     pub warnings: Vec<String>,
 }
 
+impl Metrics {
+    /// Adds another task of the same job: times and rays add up; sizes and samples are those of the largest, since tasks
+    /// share the same structures and a merge reports the samples of the whole picture.
+    pub fn add(&mut self, other: &Self) {
+        self.scene_s += other.scene_s;
+        self.build_s += other.build_s;
+        self.prepare_s += other.prepare_s;
+        self.render_s += other.render_s;
+        self.output_s += other.output_s;
+        self.total_s += other.total_s;
+        self.rays.primary += other.rays.primary;
+        self.rays.shadow += other.rays.shadow;
+        self.rays.ao += other.rays.ao;
+        self.rays.indirect += other.rays.indirect;
+        self.mrays_per_s = if self.render_s > 0.0 { self.rays.total() as f64 / self.render_s / 1e6 } else { 0.0 };
+        self.structure_bytes = self.structure_bytes.max(other.structure_bytes);
+        self.line_space_bytes = self.line_space_bytes.max(other.line_space_bytes);
+        self.peak_bytes = self.peak_bytes.max(other.peak_bytes);
+        join_distinct(&mut self.device, &other.device);
+        join_distinct(&mut self.device_kind, &other.device_kind);
+        self.spp = self.spp.max(other.spp);
+        self.cache.extend(other.cache.iter().cloned());
+        for (name, version) in &other.versions {
+            self.versions.entry(name.clone()).or_insert_with(|| version.clone());
+        }
+        for warning in &other.warnings {
+            if !self.warnings.contains(warning) {
+                self.warnings.push(warning.clone());
+            }
+        }
+    }
+}
+
+/// Appends `other` to a comma-separated list unless it is there already.
+fn join_distinct(list: &mut String, other: &str) {
+    if other.is_empty() || list.split(", ").any(|item| item == other) {
+        return;
+    }
+    if !list.is_empty() {
+        list.push_str(", ");
+    }
+    list.push_str(other);
+}
+
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RayCounts {
     pub primary: u64,
     pub shadow: u64,
     pub ao: u64,
     pub indirect: u64,
+}
+
+impl RayCounts {
+    pub fn total(&self) -> u64 {
+        self.primary + self.shadow + self.ao + self.indirect
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -225,4 +275,38 @@ pub struct CacheReport {
     pub source: CacheSource,
     pub seconds: f64,
     pub bytes: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metrics_of_two_tasks_add_up() {
+        let mut sum = Metrics {
+            render_s: 1.0,
+            rays: RayCounts { primary: 1_000_000, ..RayCounts::default() },
+            structure_bytes: 10,
+            device: "CPU".into(),
+            spp: 4,
+            warnings: vec!["w".into()],
+            ..Metrics::default()
+        };
+        let other = Metrics {
+            render_s: 3.0,
+            rays: RayCounts { shadow: 7_000_000, ..RayCounts::default() },
+            structure_bytes: 30,
+            device: "GPU".into(),
+            spp: 8,
+            warnings: vec!["w".into()],
+            ..Metrics::default()
+        };
+        sum.add(&other);
+        assert_eq!(sum.mrays_per_s, 2.0);
+        assert_eq!((sum.structure_bytes, sum.spp), (30, 8));
+        assert_eq!(sum.device, "CPU, GPU");
+        assert_eq!(sum.warnings, ["w"]);
+        sum.add(&other);
+        assert_eq!(sum.device, "CPU, GPU");
+    }
 }
