@@ -1,1 +1,30 @@
-//! placeholder
+//! How far two pictures are apart, in numbers and as a picture: RMSE, relative MSE, mean ratio, largest difference,
+//! count of differing pixels, SSIM and FLIP with its heat map. Pure functions on linear RGB images; no IO.
+//!
+//! ```
+//! use lightshaft_compare::{Image, Options, compare};
+//!
+//! let grey = Image::new(8, 8, vec![[0.5; 3]; 64])?;
+//! let brighter = Image::new(8, 8, vec![[0.55; 3]; 64])?;
+//! let comparison = compare(&grey, &brighter, &Options::default())?;
+//! assert!((comparison.report.differences.mean_ratio.unwrap() - 1.1).abs() < 1e-6);
+//! # Ok::<(), lightshaft_compare::Error>(())
+//! ```
+
+mod error;
+mod flip;
+mod heat_map;
+mod image;
+mod plane;
+mod report;
+mod ssim;
+#[cfg(test)]
+mod test_images;
+
+pub use error::{Differences, REL_MSE_EPSILON, differences};
+pub use flip::{PIXELS_PER_DEGREE, flip};
+pub use heat_map::heat_map;
+pub use image::{Error, Image};
+pub use plane::Plane;
+pub use report::{Comparison, Options, Report, compare};
+pub use ssim::ssim;
