@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::problem::{FieldError, escape_pointer};
 use crate::settings::RenderSettings;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -35,8 +36,49 @@ pub struct NewJob {
     pub settings: RenderSettings,
 }
 
+impl JobKind {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+        }
+    }
+}
+
 fn render() -> JobKind {
     JobKind::Render
+}
+
+/// Labels that start with this are the service's own.
+pub const RESERVED_LABEL_PREFIX: &str = "lightshaft.";
+
+impl NewJob {
+    /// Every field that is out of range; what depends on the scene is checked by the service.
+    pub fn validate(&self) -> Vec<FieldError> {
+        let mut errors = Vec::new();
+        if !(-100..=100).contains(&self.priority) {
+            errors.push(FieldError::new("/priority", "must be -100 to 100"));
+        }
+        if self.max_attempts.is_some_and(|n| !(1..=20).contains(&n)) {
+            errors.push(FieldError::new("/max_attempts", "must be 1 to 20"));
+        }
+        if self.labels.len() > 32 {
+            errors.push(FieldError::new("/labels", "must be at most 32 labels"));
+        }
+        for (key, value) in &self.labels {
+            let pointer = || format!("/labels/{}", escape_pointer(key));
+            if key.is_empty() || key.chars().count() > 64 {
+                errors.push(FieldError::new(pointer(), "the key must have 1 to 64 characters"));
+            }
+            if key.starts_with(RESERVED_LABEL_PREFIX) {
+                errors.push(FieldError::new(pointer(), "keys that start with `lightshaft.` are the service's own"));
+            }
+            if value.chars().count() > 256 {
+                errors.push(FieldError::new(pointer(), "the value must have at most 256 characters"));
+            }
+        }
+        errors.extend(self.settings.validate("/settings"));
+        errors
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
@@ -50,6 +92,12 @@ pub enum JobState {
 }
 
 impl JobState {
+    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.as_str() == name)
+    }
+
     pub fn is_final(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
     }
@@ -65,8 +113,9 @@ impl JobState {
     }
 }
 
+/// One line of the list of jobs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Job {
+pub struct JobSummary {
     pub id: String,
     pub kind: JobKind,
     pub scene: String,
@@ -78,18 +127,50 @@ pub struct Job {
     pub labels: BTreeMap<String, String>,
     /// 0 to 1 over all tasks.
     pub progress: f64,
+    pub tasks_total: u32,
+    /// Succeeded tasks.
+    pub tasks_done: u32,
     /// What a failed job failed of.
     pub error: Option<String>,
     pub created_at: Timestamp,
     pub started_at: Option<Timestamp>,
     pub finished_at: Option<Timestamp>,
+    /// W3C trace id, 32 hex digits, the same in every log line from submit to done.
+    pub trace_id: String,
+}
+
+/// A whole job.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Job {
+    #[serde(flatten)]
+    pub summary: JobSummary,
+    /// Attempts at each task.
+    pub max_attempts: u32,
     pub settings: RenderSettings,
     pub tasks: Vec<Task>,
     pub attempts: Vec<Attempt>,
     pub artifacts: Vec<Artifact>,
     pub metrics: Option<Metrics>,
-    /// W3C trace id, 32 hex digits, the same in every log line from submit to done.
-    pub trace_id: String,
+    /// Where the picture so far is, while the job runs and a worker has sent one.
+    pub preview: Option<String>,
+}
+
+/// Body of `PATCH /v1/jobs/{id}`: only what is given changes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct JobPatch {
+    /// Higher runs first; -100 to 100.
+    pub priority: Option<i32>,
+    /// A paused job's tasks are not leased; running ones go on.
+    pub paused: Option<bool>,
+}
+
+/// Answer to `POST /v1/jobs?validate_only=true`: the job as it would be made, every default filled in.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ValidatedJob {
+    pub job: NewJob,
+    /// How many tasks it would have.
+    pub tasks: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
@@ -153,12 +234,75 @@ pub struct Attempt {
     pub number: u32,
     pub worker: String,
     pub worker_name: String,
-    /// `running`, `succeeded`, `worker`, `task`, `transient`, `interrupted`, `deferred`, `expired`, `cancelled`.
-    pub outcome: String,
+    pub outcome: AttemptOutcome,
     pub error: Option<String>,
-    pub phase: Option<String>,
+    /// The last phase that a heartbeat told of.
+    pub phase: Option<Phase>,
     pub started_at: Timestamp,
     pub finished_at: Option<Timestamp>,
+}
+
+/// How an attempt ended; the failures are the retry classes of [`RetryClass`](crate::lease::RetryClass).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AttemptOutcome {
+    Running,
+    Succeeded,
+    Worker,
+    Task,
+    Transient,
+    Interrupted,
+    Deferred,
+    /// No heartbeat came within the lease's time to live.
+    Expired,
+    Cancelled,
+}
+
+impl AttemptOutcome {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Running => "running",
+            Self::Succeeded => "succeeded",
+            Self::Worker => "worker",
+            Self::Task => "task",
+            Self::Transient => "transient",
+            Self::Interrupted => "interrupted",
+            Self::Deferred => "deferred",
+            Self::Expired => "expired",
+            Self::Cancelled => "cancelled",
+        }
+    }
+}
+
+/// What a worker is at within a task.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Downloading the scene's blobs.
+    #[default]
+    Fetch,
+    /// Decoding the scene.
+    Import,
+    /// Building, loading or fetching structures.
+    Structures,
+    /// Packing and uploading to the device.
+    Prepare,
+    Render,
+    /// Encoding and uploading pictures.
+    Output,
+}
+
+impl Phase {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Fetch => "fetch",
+            Self::Import => "import",
+            Self::Structures => "structures",
+            Self::Prepare => "prepare",
+            Self::Render => "render",
+            Self::Output => "output",
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -4,15 +4,19 @@
 //! |---|---|
 //! | 200 | goes on |
 //! | 204 (lease) | asks again |
-//! | 404 (worker unknown) | registers anew |
-//! | 409, 410 (stale lease) | drops the work at once, reports nothing |
+//! | 404 on `POST /v1/leases` (worker unknown) | registers anew |
+//! | 410 on a heartbeat, 409 on complete, fail, release and logs (stale lease), 404 (unknown lease) | drops the work at once, reports nothing |
+//! | other 4xx | the request is at fault: fails the task with class `task` |
 //! | 429, 5xx, no answer | waits with back-off and repeats; every call may be repeated |
+//!
+//! Repeating `complete`, `fail` or `release` with the same token answers as the first time. A worker that registers
+//! again under its old id has lost what it was doing: its leases end as if they had expired.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::job::{Metrics, TaskWork};
+use crate::job::{AttemptOutcome, Metrics, Phase, TaskWork};
 use crate::settings::RenderSettings;
 use crate::worker::CacheStatus;
 
@@ -77,8 +81,7 @@ pub struct Part {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Heartbeat {
-    /// `fetch`, `import`, `structures`, `prepare`, `render`, `output`.
-    pub phase: String,
+    pub phase: Phase,
     /// Of the whole task, 0 to 1.
     pub progress: f64,
     /// Blob of a PNG of the picture so far.
@@ -92,18 +95,31 @@ pub struct Heartbeat {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct HeartbeatReply {
     pub expires_at: Timestamp,
-    /// Stop within a tile, then `fail` nothing: answer with `release`.
+    /// Stop within a tile, then `fail` nothing: answer with `release { cancelled: true }`.
     pub cancel: bool,
     /// Finish this task, then lease no more.
     pub drain: bool,
+}
+
+/// Answer to `complete`, `fail` and `release`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LeaseClosed {
+    pub outcome: AttemptOutcome,
 }
 
 /// Lines for the attempt's log. Sequence numbers make repeats harmless.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LogChunk {
+    /// Number of the first line, counted from 0 over the whole attempt.
     pub first_sequence: u64,
     pub lines: Vec<String>,
+}
+
+/// How far the log reaches: the worker goes on from here, repeating what is missing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LogAccepted {
+    pub next_sequence: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -116,10 +132,16 @@ pub struct Complete {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewArtifact {
+    /// 1 to 128 letters, digits, `.`, `_` and `-`.
     pub name: String,
     pub media_type: String,
     pub bytes: u64,
     pub blob: String,
+}
+
+impl NewArtifact {
+    /// What a tile or pass task leaves for the merge.
+    pub const PART: &str = "part";
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -1,9 +1,10 @@
 //! Settings of a render job. Every field has a default; unknown fields are refused.
 
+mod choice;
+mod validate;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-
-use crate::problem::FieldError;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -11,7 +12,7 @@ pub struct RenderSettings {
     pub integrator: Integrator,
     /// Pixels, 1 to 16384.
     pub width: u32,
-    /// Pixels, 1 to 16384.
+    /// Pixels, 1 to 16384; width times height at most 67108864.
     pub height: u32,
     /// Samples per pixel, 1 to 1048576.
     pub spp: u32,
@@ -92,7 +93,7 @@ pub enum DeviceChoice {
     Gpu,
 }
 
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum CameraChoice {
     Index(u32),
@@ -120,7 +121,7 @@ fn up_y() -> [f32; 3] {
 }
 
 /// A number (grey radiance), `[r, g, b]`, or a map uploaded to `/v1/blobs`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum Environment {
     Grey(f32),
@@ -267,20 +268,4 @@ pub enum Split {
     Tiles([u32; 2]),
     /// Equal shares of the samples, 2 to 256.
     Passes(u32),
-}
-
-impl RenderSettings {
-    /// Every field that is out of range, with a pointer below `prefix` (such as `/settings`).
-    pub fn validate(&self, prefix: &str) -> Vec<FieldError> {
-        let mut errors = Vec::new();
-        let mut check = |ok: bool, field: &str, detail: &str| {
-            if !ok {
-                errors.push(FieldError::new(format!("{prefix}/{field}"), detail));
-            }
-        };
-        check((1..=16384).contains(&self.width), "width", "must be 1 to 16384 pixels");
-        check((1..=16384).contains(&self.height), "height", "must be 1 to 16384 pixels");
-        check((1..=1 << 20).contains(&self.spp), "spp", "must be 1 to 1048576 samples per pixel");
-        errors
-    }
 }

@@ -5,8 +5,7 @@ use utoipa::ToSchema;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Status {
-    /// `active` (work in progress), `idle`, `waiting` (work but no worker for it) or `inoperable`.
-    pub state: String,
+    pub state: ServiceState,
     pub version: String,
     pub uptime_s: f64,
     pub jobs: StateCounts,
@@ -15,6 +14,18 @@ pub struct Status {
     pub workers: WorkerCounts,
     pub scenes: u64,
     pub blob_bytes: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ServiceState {
+    /// Work is being done.
+    Active,
+    Idle,
+    /// There is work, and a worker that has not taken it yet.
+    Waiting,
+    /// There is work, and no worker.
+    Inoperable,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -19,8 +19,7 @@ pub struct NewWorker {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Device {
-    /// `cpu` or `gpu`.
-    pub kind: String,
+    pub kind: DeviceKind,
     pub name: String,
     #[serde(default)]
     pub driver: String,
@@ -31,9 +30,39 @@ pub struct Device {
     pub device_type: String,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DeviceKind {
+    Cpu,
+    Gpu,
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Registered {
+    /// Keep it on disk, and give it on the next registration.
     pub id: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WorkerState {
+    Idle,
+    Busy,
+    /// Finishes what it has and leases no more.
+    Draining,
+    /// Not heard of for a minute and a half.
+    Gone,
+}
+
+impl WorkerState {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Idle => "idle",
+            Self::Busy => "busy",
+            Self::Draining => "draining",
+            Self::Gone => "gone",
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -43,8 +72,7 @@ pub struct Worker {
     pub version: String,
     pub devices: Vec<Device>,
     pub tags: Vec<String>,
-    /// `idle`, `busy`, `draining` or `gone`.
-    pub state: String,
+    pub state: WorkerState,
     pub draining: bool,
     pub registered_at: Timestamp,
     pub last_seen_at: Timestamp,
