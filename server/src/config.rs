@@ -1,0 +1,67 @@
+//! What a service can be told at its start.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Settings of one service process.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Config {
+    /// Address to listen on; port 0 picks a free one.
+    pub listen: SocketAddr,
+    /// Folder of the database, the blobs and the logs; made when it is not there.
+    pub data_dir: PathBuf,
+    /// Listen on an address that other machines reach, although the service has no access control.
+    pub insecure_local: bool,
+    /// How long a worker may be silent before its task goes to another. Heartbeats come at a third of it.
+    pub lease_ttl: Duration,
+    /// Render a small picture of every new scene.
+    pub thumbnails: bool,
+    /// How long requests in progress may take to end after a shutdown was asked for.
+    pub shutdown_deadline: Duration,
+    pub limits: Limits,
+}
+
+/// Budgets that keep one request from taking the machine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of a JSON body.
+    pub json_bytes: u64,
+    /// Bytes of a scene's upload, all files together.
+    pub scene_bytes: u64,
+    /// Files of a multipart upload.
+    pub scene_files: usize,
+    /// Bytes of any other blob.
+    pub blob_bytes: u64,
+    /// Scenes imported at the same time; further uploads wait their turn.
+    pub concurrent_imports: usize,
+    /// Longest pause between two pieces of an upload.
+    pub upload_stall: Duration,
+}
+
+impl Config {
+    pub fn new(listen: SocketAddr, data_dir: PathBuf) -> Self {
+        Self {
+            listen,
+            data_dir,
+            insecure_local: false,
+            lease_ttl: Duration::from_secs(60),
+            thumbnails: true,
+            shutdown_deadline: Duration::from_secs(10),
+            limits: Limits::default(),
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            json_bytes: 1 << 20,
+            scene_bytes: 2 << 30,
+            scene_files: 4096,
+            blob_bytes: 4 << 30,
+            concurrent_imports: 2,
+            upload_stall: Duration::from_secs(30),
+        }
+    }
+}
