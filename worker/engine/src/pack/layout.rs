@@ -33,6 +33,8 @@ const _: () = assert!(size_of::<PackedMesh>() == 48);
 pub const INSTANCE_ALPHA: u32 = 1;
 /// The transform mirrors (negative determinant): front faces wind the other way.
 pub const INSTANCE_MIRRORED: u32 = 2;
+/// The transform only rotates, moves and scales evenly: spheres stay spheres.
+pub const INSTANCE_SIMILARITY: u32 = 4;
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -146,3 +148,24 @@ pub struct PackedEnvironment {
     pub light: u32,
 }
 const _: () = assert!(size_of::<PackedEnvironment>() == 32);
+
+/// The camera, prepared so that a primary ray costs a few multiplications.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct PackedCamera {
+    pub position: [f32; 3],
+    /// 1 for an orthographic camera, 0 for a perspective one.
+    pub orthographic: u32,
+    /// Unit.
+    pub forward: [f32; 3],
+    /// Picture width in pixels.
+    pub width: u32,
+    /// From the picture's centre to the middle of its right edge: at distance 1 (perspective) or in world units.
+    pub right: [f32; 3],
+    /// Picture height in pixels.
+    pub height: u32,
+    /// From the picture's centre to the middle of its upper edge.
+    pub up: [f32; 3],
+    pub _pad: u32,
+}
+const _: () = assert!(size_of::<PackedCamera>() == 64);

@@ -3,16 +3,26 @@
 //! Both devices read the same numbers with the same arithmetic, so that their pictures agree. Every struct here has a
 //! mirror in `shaders/shared/scene.wgsl`; a test compares sizes and offsets with naga's layout.
 
+mod environment;
+mod geometry;
+mod ggx_table;
 mod layout;
+mod lights;
+mod materials;
+mod overlay;
 
+pub use ggx_table::GGX_TABLE_SIZE;
 pub use layout::*;
+pub use overlay::{placements, with_overlays};
 
 use std::sync::Arc;
 
 use glam::Vec3;
 
 use crate::accel::SceneAccel;
-use crate::scene::Aabb;
+use crate::integrate::camera::pack_camera;
+use crate::scene::{Aabb, Scene};
+use crate::settings::RenderSettings;
 
 /// Everything a device needs to trace and shade one scene under one job's lights.
 #[derive(Debug)]
@@ -45,10 +55,73 @@ pub struct PackedScene {
     pub environment_texels: Vec<[f32; 4]>,
     /// Inclusive cumulative probabilities of the rows (`height`), then of the texels in each row (`width * height`).
     pub environment_cdf: Vec<f32>,
-    /// Directional albedo of the GGX lobe, for energy compensation (layout: see `integrate`).
+    /// Directional albedo of the GGX lobe, for energy compensation (layout: see `ggx_table.rs`).
     pub ggx_albedo: Vec<f32>,
     pub bounds: Aabb,
+    pub camera: PackedCamera,
     pub accel: Arc<SceneAccel>,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum PackError {
+    /// An array would outgrow the 32-bit numbers that both devices index with.
+    #[error("the scene has {count} {what}, more than the {limit} that a device can address")]
+    TooLarge { what: &'static str, count: u64, limit: u64 },
+    /// The scene contradicts itself; import never makes such a one.
+    #[error("{0}")]
+    InvalidScene(String),
+    /// A setting that no picture can be made from.
+    #[error("{field}: {detail}")]
+    InvalidSetting { field: &'static str, detail: String },
+}
+
+/// `count` as a 32-bit number below [`NONE`].
+fn index(what: &'static str, count: usize) -> Result<u32, PackError> {
+    u32::try_from(count).ok().filter(|&n| n < NONE).ok_or(PackError::TooLarge {
+        what,
+        count: count as u64,
+        limit: u64::from(NONE) - 1,
+    })
+}
+
+/// Flattens `scene` (made by [`with_overlays`], so that the ground is in it) and the lights of `settings`.
+///
+/// `accel` must be built over `scene.meshes` and [`placements`] of the same scene. Takes time and memory in proportion
+/// to the scene; the structures are shared, not copied.
+pub fn pack(scene: &Scene, settings: &RenderSettings, accel: Arc<SceneAccel>) -> Result<PackedScene, PackError> {
+    if settings.width == 0 || settings.height == 0 {
+        let detail = format!("is {}x{}, must be at least 1x1 pixel", settings.width, settings.height);
+        return Err(PackError::InvalidSetting { field: "width, height", detail });
+    }
+    let geometry = geometry::pack_geometry(scene)?;
+    let materials = materials::pack_materials(scene)?;
+    let environment = environment::pack_environment(&settings.environment)?;
+    let mut packed = PackedScene {
+        meshes: geometry.meshes,
+        instances: geometry.instances,
+        positions: geometry.positions,
+        triangles: geometry.triangles,
+        slots: geometry.slots,
+        spheres: geometry.spheres,
+        attributes: geometry.attributes,
+        instance_materials: geometry.instance_materials,
+        materials: materials.materials,
+        textures: materials.textures,
+        texels: materials.texels,
+        lights: Vec::new(),
+        light_cdf: Vec::new(),
+        emitter_lights: Vec::new(),
+        environment: environment.header,
+        environment_texels: environment.texels,
+        environment_cdf: environment.cdf,
+        ggx_albedo: ggx_table::ggx_albedo().to_vec(),
+        bounds: geometry.bounds,
+        camera: pack_camera(&settings.camera, settings.width, settings.height),
+        accel,
+    };
+    let punctual = scene.lights.iter().chain(&settings.extra_lights);
+    lights::pack_lights(&mut packed, punctual, environment.mean_radiance)?;
+    Ok(packed)
 }
 
 impl PackedScene {

@@ -1,0 +1,112 @@
+//! What a job adds to a scene's geometry, and how the top level sees the result.
+
+use std::sync::Arc;
+
+use glam::{Affine3A, Mat3A, Vec3, Vec3A};
+
+use crate::accel::Placement;
+use crate::scene::{Aabb, AlphaMode, Instance, Material, Mesh, MeshHash, Scene};
+use crate::settings::{Ground, RenderSettings};
+
+/// The scene with the job's ground plane in it. Call this before structures are looked up: the ground is a mesh like
+/// any other. It is the same unit square in every job, placed by its instance, so its structure is built once ever.
+pub fn with_overlays(scene: &Scene, settings: &RenderSettings) -> Scene {
+    let mut scene = scene.clone();
+    if let Some(ground) = &settings.ground {
+        add_ground(&mut scene, ground);
+    }
+    scene
+}
+
+/// One placement for each instance, in order.
+pub fn placements(scene: &Scene) -> Vec<Placement> {
+    let has_alpha: Vec<bool> = scene.materials.iter().map(|m| m.alpha_mode != AlphaMode::Opaque).collect();
+    let is_filtered =
+        |instance: &Instance| instance.materials.iter().any(|&m| has_alpha.get(m as usize).copied().unwrap_or(false));
+    scene
+        .instances
+        .iter()
+        .map(|i| Placement { mesh: i.mesh, transform: i.transform, filtered: is_filtered(i) })
+        .collect()
+}
+
+/// World bounds of all instances.
+pub(super) fn scene_bounds(scene: &Scene) -> Aabb {
+    let mut bounds = Aabb::EMPTY;
+    for instance in &scene.instances {
+        let Some(mesh) = scene.meshes.get(instance.mesh as usize) else { continue };
+        if mesh.bounds.is_empty() {
+            continue;
+        }
+        for corner in 0..8 {
+            let pick =
+                |axis: usize| if corner >> axis & 1 == 0 { mesh.bounds.min[axis] } else { mesh.bounds.max[axis] };
+            bounds.grow(instance.transform.transform_point3(Vec3::new(pick(0), pick(1), pick(2))));
+        }
+    }
+    bounds
+}
+
+/// How far below the scene's lowest point the ground lies when its height is not given, in scene radii: enough that it
+/// does not coincide with the undersides that stand on it.
+const GROUND_GAP: f32 = 1e-4;
+
+fn add_ground(scene: &mut Scene, ground: &Ground) {
+    let bounds = scene_bounds(scene);
+    let (center, radius) =
+        if bounds.is_empty() { (Vec3::ZERO, 1.0) } else { (bounds.center(), 0.5 * bounds.extent().length()) };
+    let radius = if radius > 0.0 { radius } else { 1.0 };
+    let lowest = if bounds.is_empty() { 0.0 } else { bounds.min.y };
+    let height = ground.height.unwrap_or(lowest - GROUND_GAP * radius);
+    let half_size = ground.half_size.unwrap_or(20.0 * radius);
+
+    let mesh = ground_mesh();
+    let known = scene.meshes.iter().position(|m| m.hash == mesh.hash);
+    let mesh_index = known.unwrap_or(scene.meshes.len());
+    if known.is_none() {
+        scene.meshes.push(Arc::new(mesh));
+    }
+    let [r, g, b] = ground.albedo.to_array();
+    let material = Material {
+        name: "ground".into(),
+        base_color: [r, g, b, 1.0],
+        metallic: 0.0,
+        roughness: ground.roughness,
+        double_sided: true,
+        ..Material::default()
+    };
+    scene.materials.push(material);
+    scene.instances.push(Instance {
+        name: "ground".into(),
+        mesh: mesh_index as u32,
+        transform: Affine3A {
+            matrix3: Mat3A::from_diagonal(Vec3::new(half_size, 1.0, half_size)),
+            translation: Vec3A::new(center.x, height, center.z),
+        },
+        materials: vec![(scene.materials.len() - 1) as u32],
+    });
+}
+
+/// The square from (-1, 0, -1) to (1, 0, 1), facing up.
+fn ground_mesh() -> Mesh {
+    Mesh {
+        hash: MeshHash(*blake3::hash(b"lightshaft: ground square, corners at +-1, two triangles").as_bytes()),
+        name: "ground".into(),
+        positions: vec![
+            Vec3::new(-1.0, 0.0, -1.0),
+            Vec3::new(-1.0, 0.0, 1.0),
+            Vec3::new(1.0, 0.0, 1.0),
+            Vec3::new(1.0, 0.0, -1.0),
+        ],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        triangle_slots: vec![0, 0],
+        normals: Vec::new(),
+        tangents: Vec::new(),
+        uv0: Vec::new(),
+        uv1: Vec::new(),
+        colors: Vec::new(),
+        spheres: Vec::new(),
+        slots: 1,
+        bounds: Aabb { min: Vec3::new(-1.0, 0.0, -1.0), max: Vec3::new(1.0, 0.0, 1.0) },
+    }
+}
