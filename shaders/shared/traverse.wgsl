@@ -1,0 +1,215 @@
+// Two-level walk of compressed wide BVHs (Ylitie, Karras, Laine 2017, section 4; layout in `wide.rs`).
+//
+// The stack holds groups: all hit inner children of one node, or the untested entries of one leaf group, as
+// (base, bits): bits 24..31 mark inner children by visiting order, bits 0..7 then say which slots are inner;
+// without marks in 24..31 the lower bits mark leaf entries. A node adds at most one group, so STACK_SIZE, the depth
+// of top level and deepest mesh plus two, cannot overflow.
+//
+// Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), COUNTING.
+
+//!include rays
+//!include intersect
+//!pool nodes
+//!pool prims
+
+// An instance as a leaf entry of the top level: rows of world-to-object, then (root node, instance, flags, 0).
+@group(0) @binding(8) var<storage, read> placements: array<vec4<u32>>;
+
+const PLACEMENT_FILTERED = 1u;
+const PRIMITIVE_SPHERE = 1u;
+
+struct Trace {
+    hit: Hit,
+    box_tests: u32,
+    primitive_tests: u32,
+}
+
+// What a node's children answered: their inner group and their leaf group.
+struct Groups {
+    inner: vec2<u32>,
+    leaf: vec2<u32>,
+    children: u32,
+}
+
+fn byte_lanes(word: u32) -> vec4<u32> {
+    return vec4<u32>(word & 0xffu, (word >> 8u) & 0xffu, (word >> 16u) & 0xffu, word >> 24u);
+}
+
+// Tests four children. `near` and `far` are their quantised planes on the side where the ray enters and leaves.
+fn hit_bits(
+    meta_word: u32, near_x: u32, near_y: u32, near_z: u32, far_x: u32, far_y: u32, far_z: u32,
+    scale: vec3<f32>, origin: vec3<f32>, t_min: f32, t_max: f32, octant4: u32,
+) -> u32 {
+    let enter_x = vec4<f32>(byte_lanes(near_x)) * scale.x + origin.x;
+    let enter_y = vec4<f32>(byte_lanes(near_y)) * scale.y + origin.y;
+    let enter_z = vec4<f32>(byte_lanes(near_z)) * scale.z + origin.z;
+    let leave_x = vec4<f32>(byte_lanes(far_x)) * scale.x + origin.x;
+    let leave_y = vec4<f32>(byte_lanes(far_y)) * scale.y + origin.y;
+    let leave_z = vec4<f32>(byte_lanes(far_z)) * scale.z + origin.z;
+    let enter = max(max(enter_x, enter_y), max(enter_z, vec4<f32>(t_min)));
+    // Rounding upwards: a box must not be missed by the last bits (Ize 2013).
+    let leave = min(min(leave_x, leave_y), min(leave_z, vec4<f32>(t_max))) * 1.0000005;
+    let is_inner = (meta_word & (meta_word << 1u)) & 0x10101010u;
+    let inner_mask = (is_inner >> 4u) * 0xffu;
+    let index = byte_lanes((meta_word ^ (octant4 & inner_mask)) & 0x1f1f1f1fu);
+    let bits = byte_lanes((meta_word >> 5u) & 0x07070707u);
+    let found = select(vec4<u32>(0u), bits << index, enter <= leave);
+    return found.x | found.y | found.z | found.w;
+}
+
+fn visit(node: u32, ray: TraceRay, t_min: f32, t_max: f32, octant: u32) -> Groups {
+    let n0 = nodes_at(node * 5u);
+    let n1 = nodes_at(node * 5u + 1u);
+    let n2 = nodes_at(node * 5u + 2u);
+    let n3 = nodes_at(node * 5u + 3u);
+    let n4 = nodes_at(node * 5u + 4u);
+    let e = n0.w;
+    let scale = bitcast<vec3<f32>>(vec3<u32>((e & 0xffu) << 23u, (e << 15u) & 0x7f800000u, (e << 7u) & 0x7f800000u))
+        * ray.inverse;
+    let origin = (bitcast<vec3<f32>>(n0.xyz) - ray.origin) * ray.inverse;
+    let negative = ray.inverse < vec3<f32>(0.0);
+    let octant4 = octant * 0x01010101u;
+    let lx = n2.xy;
+    let ly = n2.zw;
+    let lz = n3.xy;
+    let hx = n3.zw;
+    let hy = n4.xy;
+    let hz = n4.zw;
+    let near_x = select(lx, hx, negative.x);
+    let near_y = select(ly, hy, negative.y);
+    let near_z = select(lz, hz, negative.z);
+    let far_x = select(hx, lx, negative.x);
+    let far_y = select(hy, ly, negative.y);
+    let far_z = select(hz, lz, negative.z);
+    let bits = hit_bits(n1.z, near_x.x, near_y.x, near_z.x, far_x.x, far_y.x, far_z.x, scale, origin, t_min, t_max, octant4)
+        | hit_bits(n1.w, near_x.y, near_y.y, near_z.y, far_x.y, far_y.y, far_z.y, scale, origin, t_min, t_max, octant4);
+    var groups: Groups;
+    groups.inner = vec2<u32>(n1.x, (bits & 0xff000000u) | (e >> 24u));
+    groups.leaf = vec2<u32>(n1.y, bits & 0x00ffffffu);
+    if COUNTING {
+        let used = (n1.zw | (n1.zw >> vec2<u32>(1u)) | (n1.zw >> vec2<u32>(2u))) & vec2<u32>(0x20202020u);
+        groups.children = countOneBits(used.x) + countOneBits(used.y);
+    }
+    return groups;
+}
+
+// Bits by which slots are visited: highest set bit first is front to back.
+fn octant_of(ray: TraceRay) -> u32 {
+    let positive = select(vec3<u32>(0u), vec3<u32>(1u, 2u, 4u), ray.inverse >= vec3<f32>(0.0));
+    return positive.x | positive.y | positive.z;
+}
+
+// The nearest hit in (t_min, t_max), or with ANY_HIT some hit.
+fn trace(world: Ray) -> Trace {
+    var result: Trace;
+    var best = Hit(world.t_max, 0.0, 0.0, 0u, 0u);
+    var found = false;
+    var stack: array<vec2<u32>, STACK_SIZE>;
+    var sp = 0u;
+    // Stack height at which the current instance ends; NONE in the top level.
+    var floor_sp = NONE;
+    var placement = 0u;
+    var instance = 0u;
+    var filtered = false;
+    var ray = prepare_ray(world.origin, world.direction);
+    var octant = octant_of(ray);
+    // Pretends a parent with the root as its only child; an empty scene has a root without children.
+    var inner = vec2<u32>(0u, 0x80000000u);
+    var leaf = vec2<u32>(0u);
+    loop {
+        if inner.y > 0x00ffffffu {
+            let bit = firstLeadingBit(inner.y);
+            inner.y &= ~(1u << bit);
+            let slot = (bit - 24u) ^ octant;
+            let node = inner.x + countOneBits(inner.y & 0xffu & ((1u << slot) - 1u));
+            if inner.y > 0x00ffffffu {
+                stack[sp] = inner;
+                sp += 1u;
+            }
+            let groups = visit(node, ray, world.t_min, best.t, octant);
+            inner = groups.inner;
+            leaf = groups.leaf;
+            if COUNTING {
+                result.box_tests += groups.children;
+            }
+        } else {
+            leaf = inner;
+            inner = vec2<u32>(0u);
+        }
+        while leaf.y != 0u {
+            let bit = firstTrailingBit(leaf.y);
+            leaf.y &= leaf.y - 1u;
+            let entry = leaf.x + bit;
+            if floor_sp == NONE {
+                // An instance: remember what is left of the top level, and go on at the mesh's root.
+                if leaf.y != 0u {
+                    stack[sp] = leaf;
+                    sp += 1u;
+                }
+                if inner.y > 0x00ffffffu {
+                    stack[sp] = inner;
+                    sp += 1u;
+                }
+                floor_sp = sp;
+                let r0 = bitcast<vec4<f32>>(placements[entry * 4u]);
+                let r1 = bitcast<vec4<f32>>(placements[entry * 4u + 1u]);
+                let r2 = bitcast<vec4<f32>>(placements[entry * 4u + 2u]);
+                let r3 = placements[entry * 4u + 3u];
+                let o = world.origin;
+                let d = world.direction;
+                ray = prepare_ray(
+                    vec3<f32>(dot(r0.xyz, o) + r0.w, dot(r1.xyz, o) + r1.w, dot(r2.xyz, o) + r2.w),
+                    vec3<f32>(dot(r0.xyz, d), dot(r1.xyz, d), dot(r2.xyz, d)),
+                );
+                octant = octant_of(ray);
+                instance = r3.y;
+                filtered = (r3.z & PLACEMENT_FILTERED) != 0u;
+                inner = vec2<u32>(r3.x, 0x80000000u);
+                leaf.y = 0u;
+            } else {
+                let p0 = prims_at(entry * 3u);
+                let p1 = prims_at(entry * 3u + 1u);
+                let p2 = prims_at(entry * 3u + 2u);
+                let primitive = bitcast<u32>(p0.w);
+                if COUNTING {
+                    result.primitive_tests += 1u;
+                }
+                var tuv = intersect_triangle(ray, p0.xyz, p1.xyz, p2.xyz);
+                if SPHERES {
+                    if bitcast<u32>(p1.w) == PRIMITIVE_SPHERE {
+                        tuv = intersect_sphere(ray, p0.xyz, p1.x, world.t_min);
+                    }
+                }
+                let nearer = tuv.x < best.t || (tuv.x == best.t && found
+                    && (instance < best.instance || (instance == best.instance && primitive < best.primitive)));
+                if tuv.x > world.t_min && nearer && accept(filtered, Hit(tuv.x, tuv.y, tuv.z, instance, primitive)) {
+                    best = Hit(tuv.x, tuv.y, tuv.z, instance, primitive);
+                    found = true;
+                    if ANY_HIT {
+                        leaf.y = 0u;
+                        inner.y = 0u;
+                        sp = 0u;
+                        floor_sp = NONE;
+                    }
+                }
+            }
+        }
+        if inner.y <= 0x00ffffffu {
+            if sp == floor_sp {
+                floor_sp = NONE;
+                ray = prepare_ray(world.origin, world.direction);
+                octant = octant_of(ray);
+            }
+            if sp == 0u {
+                break;
+            }
+            sp -= 1u;
+            inner = stack[sp];
+        }
+    }
+    result.hit = best;
+    if !found {
+        result.hit.instance = NONE;
+    }
+    return result;
+}

@@ -1,0 +1,71 @@
+//! Which GPUs there are, and which one a job gets.
+
+use crate::device::{DeviceError, DeviceInfo};
+
+/// Storage buffers that one shader stage of ours binds at least (see `scene.rs`; pools that need several bindings take
+/// more).
+pub const REQUIRED_STORAGE_BUFFERS: u32 = 16;
+
+/// Every adapter that wgpu finds, the preferred one first: hardware before software, discrete before integrated.
+/// Adapters that miss a requirement are listed all the same; preparing a scene on one says what it lacks.
+pub fn adapters() -> Vec<DeviceInfo> {
+    enumerate().iter().map(describe).collect()
+}
+
+/// Whether the adapter runs shaders on the CPU (lavapipe, SwiftShader, WARP): right for tests, slower than the `cpu`
+/// device for real work.
+pub fn is_software(info: &DeviceInfo) -> bool {
+    info.device_type == "Cpu"
+}
+
+/// The preferred adapter, or the first whose name contains `name` (case-insensitive).
+pub(super) fn select(name: Option<&str>) -> Result<wgpu::Adapter, DeviceError> {
+    let wanted = name.map(str::to_lowercase);
+    let mut found = Vec::new();
+    for adapter in enumerate() {
+        let info = describe(&adapter);
+        if wanted.as_ref().is_none_or(|part| info.name.to_lowercase().contains(part)) {
+            return Ok(adapter);
+        }
+        found.push(format!("`{}`", info.name));
+    }
+    Err(DeviceError::NoAdapter(match (name, found.is_empty()) {
+        (_, true) => {
+            "wgpu found no adapter; install a Vulkan, Metal or DX12 driver (mesa-vulkan-drivers has lavapipe, \
+                      which runs on any CPU)"
+                .to_owned()
+        }
+        (Some(name), false) => format!("no adapter's name contains `{name}`; there are {}", found.join(", ")),
+        (None, false) => format!("none of {} can be used", found.join(", ")),
+    }))
+}
+
+pub(super) fn describe(adapter: &wgpu::Adapter) -> DeviceInfo {
+    let info = adapter.get_info();
+    let limits = adapter.limits();
+    DeviceInfo {
+        kind: "gpu",
+        name: info.name,
+        driver: [info.driver, info.driver_info].into_iter().filter(|s| !s.is_empty()).collect::<Vec<_>>().join(" "),
+        backend: format!("{:?}", info.backend),
+        device_type: format!("{:?}", info.device_type),
+        max_binding_bytes: limits.max_storage_buffer_binding_size,
+    }
+}
+
+fn enumerate() -> Vec<wgpu::Adapter> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::PRIMARY,
+        flags: wgpu::InstanceFlags::empty(),
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    });
+    adapters
+}

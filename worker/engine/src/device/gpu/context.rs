@@ -1,0 +1,217 @@
+//! One wgpu device with its queue, and what every user of it needs: trusted shaders, buffers that fail with a reason
+//! instead of a panic, bounded waits, and the news of a lost device.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use super::adapter;
+use super::shader::Source;
+use crate::device::{DeviceError, DeviceInfo};
+
+/// A submit is sized to tens of milliseconds; one that takes this long means a hung driver.
+const SUBMIT_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Why the device is of no more use; set once, by wgpu's callbacks or by a wait that ran out.
+type Failure = Arc<Mutex<Option<String>>>;
+
+/// An open device. Dropping it frees everything made from it.
+pub struct Context {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub info: DeviceInfo,
+    pub(super) limits: wgpu::Limits,
+    checks: bool,
+    failure: Failure,
+}
+
+impl Context {
+    /// Opens the preferred adapter, or the first whose name contains `name`, with all the limits that it has.
+    pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
+        let adapter = adapter::select(name)?;
+        let info = adapter::describe(&adapter);
+        let limits = adapter.limits();
+        if limits.max_storage_buffers_per_shader_stage < adapter::REQUIRED_STORAGE_BUFFERS {
+            return Err(DeviceError::NoAdapter(format!(
+                "`{}` binds {} storage buffers per shader stage, {} are needed",
+                info.name,
+                limits.max_storage_buffers_per_shader_stage,
+                adapter::REQUIRED_STORAGE_BUFFERS
+            )));
+        }
+        let descriptor =
+            wgpu::DeviceDescriptor { label: Some("lightshaft"), required_limits: limits.clone(), ..Default::default() };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|e| DeviceError::NoAdapter(format!("`{}` cannot be opened: {e}", info.name)))?;
+        let failure = Failure::default();
+        let lost = failure.clone();
+        device.set_device_lost_callback(move |reason, message| fail(&lost, format!("{reason:?} {message}")));
+        let uncaptured = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| fail(&uncaptured, error.to_string())));
+        let checks = cfg!(test) || std::env::var_os("LIGHTSHAFT_SHADER_CHECKS").is_some_and(|v| v == "1");
+        Ok(Self { device, queue, info, limits, checks, failure })
+    }
+
+    /// Fails with [`DeviceError::Lost`] once the device is lost or in error.
+    pub(super) fn check(&self) -> Result<(), DeviceError> {
+        match &*self.failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner) {
+            Some(reason) => Err(DeviceError::Lost(reason.clone())),
+            None => Ok(()),
+        }
+    }
+
+    /// Compiles an embedded stage. Without runtime checks unless asked for (`LIGHTSHAFT_SHADER_CHECKS=1`): naga's
+    /// bounds checks and loop counters cost a traversal kernel a multiple of its time.
+    pub(super) fn shader(&self, source: &Source) -> wgpu::ShaderModule {
+        let checks =
+            if self.checks { wgpu::ShaderRuntimeChecks::checked() } else { wgpu::ShaderRuntimeChecks::unchecked() };
+        let descriptor = wgpu::ShaderModuleDescriptor {
+            label: Some(source.stage),
+            source: wgpu::ShaderSource::Wgsl(source.wgsl.as_str().into()),
+        };
+        // SAFETY: only shaders embedded in this program get here. Their indices come from structures that are
+        // validated before upload, their loops are bounded by tree size or counts, their divisors are not zero; the
+        // tests run the same shaders with all checks on.
+        unsafe { self.device.create_shader_module_trusted(descriptor, checks) }
+    }
+
+    /// A buffer of at least 16 bytes; [`DeviceError::TooLarge`] when the device has no room for it.
+    pub(super) fn buffer(
+        &self,
+        label: &str,
+        bytes: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<wgpu::Buffer, DeviceError> {
+        let size = bytes.next_multiple_of(4).max(16);
+        let too_large = |limit: String| {
+            DeviceError::TooLarge(format!("{label}: {} MiB do not fit on `{}` ({limit})", size >> 20, self.info.name))
+        };
+        if size > self.limits.max_buffer_size {
+            return Err(too_large(format!("largest buffer {} MiB", self.limits.max_buffer_size >> 20)));
+        }
+        let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        });
+        match pollster::block_on(scope.pop()) {
+            Some(_) => Err(too_large("out of memory".to_owned())),
+            None => self.check().map(|()| buffer),
+        }
+    }
+
+    /// A storage buffer with `bytes` in it.
+    pub(super) fn upload(&self, label: &str, bytes: &[u8]) -> Result<wgpu::Buffer, DeviceError> {
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+        let buffer = self.buffer(label, bytes.len() as u64, usage)?;
+        // In pieces, so that wgpu's staging copy of a big pool stays small.
+        const PIECE: usize = 16 << 20;
+        for (i, piece) in bytes.chunks(PIECE).enumerate() {
+            self.queue.write_buffer(&buffer, (i * PIECE) as u64, piece);
+            if bytes.len() > PIECE {
+                self.submit(self.encoder())?;
+            }
+        }
+        Ok(buffer)
+    }
+
+    /// Bytes that one storage binding may have.
+    pub(super) fn binding_limit(&self) -> u64 {
+        self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
+    }
+
+    /// A bind group of storage buffers and its layout.
+    pub(super) fn bind_storage(
+        &self,
+        label: &str,
+        entries: &[wgpu::BindGroupEntry<'_>],
+        read_only: bool,
+    ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
+        let layout_entries: Vec<_> = entries
+            .iter()
+            .map(|entry| wgpu::BindGroupLayoutEntry {
+                binding: entry.binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Storage { read_only },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            })
+            .collect();
+        let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(label),
+            entries: &layout_entries,
+        });
+        let group =
+            self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout: &layout, entries });
+        (layout, group)
+    }
+
+    /// Compiles a stage for the bind groups that it uses (`None`: the stage has no such group).
+    pub(super) fn pipeline(&self, source: &Source, groups: &[Option<&wgpu::BindGroupLayout>]) -> wgpu::ComputePipeline {
+        let module = self.shader(source);
+        let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(source.stage),
+            bind_group_layouts: groups,
+            immediate_size: 0,
+        });
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(source.stage),
+            layout: Some(&layout),
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            cache: None,
+        })
+    }
+
+    pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Submits and waits until it is done.
+    pub(super) fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<(), DeviceError> {
+        self.check()?;
+        let index = self.queue.submit([encoder.finish()]);
+        self.wait(index)
+    }
+
+    /// Copies `bytes` from the start of `source`, after all that was submitted.
+    pub(super) fn read<T: bytemuck::Pod>(&self, source: &wgpu::Buffer, count: usize) -> Result<Vec<T>, DeviceError> {
+        let bytes = (count * size_of::<T>()) as u64;
+        if bytes == 0 {
+            return Ok(Vec::new());
+        }
+        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+        let staging = self.buffer("read-back", bytes, usage)?;
+        let mut encoder = self.encoder();
+        encoder.copy_buffer_to_buffer(source, 0, &staging, 0, bytes);
+        encoder.map_buffer_on_submit(&staging, wgpu::MapMode::Read, 0..bytes, |_| ());
+        self.submit(encoder)?;
+        let view = staging
+            .get_mapped_range(0..bytes)
+            .map_err(|e| self.check().err().unwrap_or_else(|| DeviceError::Lost(format!("read-back: {e}"))))?;
+        let mut values = vec![T::zeroed(); count];
+        bytemuck::cast_slice_mut::<T, u8>(&mut values).copy_from_slice(&view);
+        Ok(values)
+    }
+
+    fn wait(&self, index: wgpu::SubmissionIndex) -> Result<(), DeviceError> {
+        let wait = wgpu::PollType::Wait { submission_index: Some(index), timeout: Some(SUBMIT_TIMEOUT) };
+        if let Err(error) = self.device.poll(wait) {
+            fail(&self.failure, format!("a submit did not end: {error}"));
+        }
+        self.check()
+    }
+}
+
+fn fail(failure: &Failure, reason: String) {
+    let mut slot = failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    slot.get_or_insert(reason);
+}

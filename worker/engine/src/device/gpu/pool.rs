@@ -1,0 +1,104 @@
+//! Pools: long arrays that may not fit one storage binding.
+//!
+//! Adapters bind as little as 128 MiB at once (WebGPU's default, and lavapipe's). A pool splits its array over up to
+//! [`MAX_CHUNKS`] bindings of a power-of-two length; the accessor that its shader gets picks the binding by the upper
+//! bits of the index. A pool that fits one binding, the common case, costs its shader nothing.
+
+use super::context::Context;
+use crate::device::DeviceError;
+
+pub(super) const MAX_CHUNKS: u32 = 4;
+
+/// What a shader has to know of a pool.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) struct PoolLayout {
+    pub name: &'static str,
+    /// WGSL type of an element.
+    pub element: &'static str,
+    pub group: u32,
+    /// Binding of the first chunk; the next `MAX_CHUNKS - 1` are reserved for the others.
+    pub binding: u32,
+    pub chunks: u32,
+    /// Elements per chunk: `1 << shift`.
+    pub shift: u32,
+}
+
+impl PoolLayout {
+    /// Declarations of the chunks, and `fn NAME_at(index) -> element`.
+    pub(super) fn wgsl(&self) -> String {
+        let Self { name, element, group, binding, chunks, shift } = self;
+        let mut wgsl = String::new();
+        for i in 0..*chunks {
+            wgsl.push_str(&format!(
+                "@group({group}) @binding({}) var<storage, read> {name}_{i}: array<{element}>;\n",
+                binding + i
+            ));
+        }
+        if *chunks == 1 {
+            wgsl.push_str(&format!("fn {name}_at(i: u32) -> {element} {{ return {name}_0[i]; }}\n"));
+            return wgsl;
+        }
+        let mask = (1u32 << shift) - 1;
+        wgsl.push_str(&format!("fn {name}_at(i: u32) -> {element} {{\n    let k = i & {mask}u;\n"));
+        wgsl.push_str(&format!("    switch i >> {shift}u {{\n"));
+        for i in 1..*chunks {
+            wgsl.push_str(&format!("        case {i}u: {{ return {name}_{i}[k]; }}\n"));
+        }
+        wgsl.push_str(&format!("        default: {{ return {name}_0[k]; }}\n    }}\n}}\n"));
+        wgsl
+    }
+}
+
+/// An uploaded pool.
+pub(super) struct Pool {
+    pub layout: PoolLayout,
+    pub buffers: Vec<wgpu::Buffer>,
+    pub bytes: u64,
+}
+
+impl Pool {
+    /// Uploads `bytes`, elements of `stride` bytes (a power of two).
+    pub(super) fn upload(
+        context: &Context,
+        name: &'static str,
+        element: &'static str,
+        (group, binding): (u32, u32),
+        stride: u64,
+        bytes: &[u8],
+    ) -> Result<Self, DeviceError> {
+        let limit = context.binding_limit();
+        let shift = (limit / stride).min(1 << 31).ilog2();
+        let chunk_bytes = stride << shift;
+        let total = bytes.len() as u64;
+        let chunks = total.div_ceil(chunk_bytes).max(1);
+        if chunks > u64::from(MAX_CHUNKS) {
+            return Err(DeviceError::TooLarge(format!(
+                "{name}: {} MiB, but `{}` can hold {} MiB ({MAX_CHUNKS} bindings of {} MiB)",
+                total >> 20,
+                context.info.name,
+                (chunk_bytes * u64::from(MAX_CHUNKS)) >> 20,
+                chunk_bytes >> 20
+            )));
+        }
+        let mut buffers = Vec::new();
+        for chunk in bytes.chunks(chunk_bytes as usize) {
+            buffers.push(context.upload(name, chunk)?);
+        }
+        if buffers.is_empty() {
+            buffers.push(context.upload(name, &[])?);
+        }
+        Ok(Self {
+            layout: PoolLayout { name, element, group, binding, chunks: chunks as u32, shift },
+            buffers,
+            bytes: total,
+        })
+    }
+
+    /// Bind group entries of the chunks.
+    pub(super) fn entries(&self) -> impl Iterator<Item = wgpu::BindGroupEntry<'_>> {
+        self.buffers
+            .iter()
+            .zip(self.layout.binding..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+    }
+}

@@ -1,0 +1,68 @@
+//! The embedded WGSL: one stage per file in `shaders/`, common parts in `shaders/shared/`.
+//!
+//! A line `//!include NAME` is replaced by `shared/NAME.wgsl` (once per stage), a line `//!pool NAME` by the bindings
+//! and the accessor of a [`Pool`](super::pool::Pool). Constants that a variant fixes, such as the stack size, are put
+//! in front.
+
+use super::pool::PoolLayout;
+
+/// A composed stage, ready to compile.
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    pub stage: &'static str,
+    pub wgsl: String,
+}
+
+/// What distinguishes a variant of a stage.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Variant<'a> {
+    pub constants: Vec<(&'static str, String)>,
+    /// Every pool that the stage's files mention.
+    pub pools: &'a [PoolLayout],
+    /// Shared files that stand in for others: (asked for, taken).
+    pub replacements: &'a [(&'static str, &'static str)],
+}
+
+/// Composes a stage.
+///
+/// # Panics
+/// When a file asks for an unknown part: a fault of this program that the tests would have found.
+pub(super) fn compose(stage: &'static str, variant: &Variant<'_>) -> Source {
+    let mut wgsl = String::new();
+    for (name, value) in &variant.constants {
+        wgsl.push_str(&format!("const {name} = {value};\n"));
+    }
+    append(&mut wgsl, lookup(STAGES, stage), variant, &mut Vec::new());
+    Source { stage, wgsl }
+}
+
+fn append(out: &mut String, text: &str, variant: &Variant<'_>, included: &mut Vec<String>) {
+    for line in text.lines() {
+        if let Some(asked) = line.strip_prefix("//!include ") {
+            if !included.iter().any(|known| known == asked) {
+                included.push(asked.to_owned());
+                let replacement = variant.replacements.iter().find(|(from, _)| *from == asked);
+                append(out, lookup(SHARED, replacement.map_or(asked, |(_, to)| to)), variant, included);
+            }
+        } else if let Some(name) = line.strip_prefix("//!pool ") {
+            let pool = variant.pools.iter().find(|pool| pool.name == name);
+            out.push_str(&pool.unwrap_or_else(|| panic!("no pool `{name}`")).wgsl());
+        } else {
+            out.push_str(line);
+            out.push('\n');
+        }
+    }
+}
+
+fn lookup(files: &[(&'static str, &'static str)], name: &str) -> &'static str {
+    files.iter().find(|(known, _)| *known == name).unwrap_or_else(|| panic!("no shader file `{name}`")).1
+}
+
+macro_rules! embed {
+    ($folder:literal: $($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!("../../../../../shaders/", $folder, $name, ".wgsl")))),*]
+    };
+}
+
+const STAGES: &[(&str, &str)] = embed!("": "trace_closest", "trace_shadow");
+const SHARED: &[(&str, &str)] = embed!("shared/": "accept_all", "intersect", "rays", "traverse", "traverse_baseline");

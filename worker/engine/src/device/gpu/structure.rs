@@ -1,0 +1,222 @@
+//! The spatial structure on the device: one node pool and one primitive pool for the top level and all meshes.
+
+use glam::Affine3A;
+
+use super::context::Context;
+use super::pool::{Pool, PoolLayout};
+use super::wide::WideTree;
+use crate::accel::Bvh2;
+use crate::device::DeviceError;
+use crate::scene::Aabb;
+
+/// Hits of this placement go through the alpha filter (`PLACEMENT_FILTERED` in `traverse.wgsl`).
+const PLACEMENT_FILTERED: u32 = 1;
+const PRIMITIVE_SPHERE: u32 = 1;
+
+/// A mesh as the structure sees it.
+#[derive(Clone, Copy)]
+pub struct MeshView<'a> {
+    pub bvh: &'a Bvh2,
+    pub positions: &'a [[f32; 3]],
+    pub triangles: &'a [[u32; 3]],
+    /// Centre and radius; numbered after the triangles.
+    pub spheres: &'a [[f32; 4]],
+}
+
+impl MeshView<'_> {
+    fn corners(&self, triangle: usize) -> [[f32; 3]; 3] {
+        self.triangles[triangle].map(|v| self.positions[v as usize])
+    }
+
+    fn bounds(&self, primitive: u32) -> Aabb {
+        let mut bounds = Aabb::EMPTY;
+        match (primitive as usize).checked_sub(self.triangles.len()) {
+            None => self.corners(primitive as usize).iter().for_each(|&p| bounds.grow(p.into())),
+            Some(sphere) => {
+                let [x, y, z, radius] = self.spheres[sphere];
+                let center = glam::Vec3::new(x, y, z);
+                bounds = Aabb { min: center - radius, max: center + radius };
+            }
+        }
+        bounds
+    }
+
+    /// The kernel's record: three corners with the number and the kind, or centre and radius.
+    fn record(&self, primitive: u32) -> [[f32; 4]; 3] {
+        let number = f32::from_bits(primitive);
+        match (primitive as usize).checked_sub(self.triangles.len()) {
+            None => {
+                let [a, b, c] = self.corners(primitive as usize);
+                [[a[0], a[1], a[2], number], [b[0], b[1], b[2], 0.0], [c[0], c[1], c[2], 0.0]]
+            }
+            Some(sphere) => {
+                let [x, y, z, radius] = self.spheres[sphere];
+                [[x, y, z, number], [radius, 0.0, 0.0, f32::from_bits(PRIMITIVE_SPHERE)], [0.0; 4]]
+            }
+        }
+    }
+}
+
+/// An instance as the structure sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct PlacementView {
+    pub mesh: u32,
+    pub world_to_object: [[f32; 4]; 3],
+    pub filtered: bool,
+}
+
+impl PlacementView {
+    pub fn new(mesh: u32, object_to_world: Affine3A, filtered: bool) -> Self {
+        let inverse = object_to_world.inverse();
+        let (m, t) = (inverse.matrix3, inverse.translation);
+        let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
+        Self { mesh, world_to_object: [row(0), row(1), row(2)], filtered }
+    }
+}
+
+/// Host arrays, ready for upload.
+pub struct HostStructure {
+    nodes: Vec<u32>,
+    prims: Vec<[f32; 4]>,
+    placements: Vec<[u32; 4]>,
+    /// Stack entries that the kernel needs.
+    pub stack_size: u32,
+    pub spheres: bool,
+}
+
+impl HostStructure {
+    /// The compressed wide trees that `traverse.wgsl` walks.
+    pub fn wide(top: &Bvh2, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
+        let mut host = Self::empty(meshes);
+        let top_bounds = leaf_bounds(top, placements.len());
+        let top_tree = WideTree::from_bvh2(top, &|instance| top_bounds[instance as usize]);
+        host.push_tree(&top_tree, 0);
+        if top_tree.nodes.is_empty() {
+            host.nodes.resize(20, 0);
+        }
+        let mut roots = Vec::with_capacity(meshes.len());
+        let mut deepest = 0;
+        for mesh in meshes {
+            let tree = WideTree::from_bvh2(mesh.bvh, &|primitive| mesh.bounds(primitive));
+            deepest = deepest.max(tree.depth);
+            roots.push((host.nodes.len() / 20) as u32);
+            host.push_tree(&tree, (host.prims.len() / 3) as u32);
+            host.prims.extend(tree.leaves.iter().flat_map(|&primitive| mesh.record(primitive)));
+        }
+        host.push_placements(&top_tree.leaves, placements, &roots);
+        host.stack_size = top_tree.depth + deepest + 2;
+        host
+    }
+
+    /// The plain binary trees of the benchmark's base kernel. Leaves of the top level must hold one instance each.
+    pub fn baseline(top: &Bvh2, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
+        let mut host = Self::empty(meshes);
+        host.push_binary(top, 0);
+        let mut roots = Vec::with_capacity(meshes.len());
+        for mesh in meshes {
+            roots.push((host.nodes.len() / 8) as u32);
+            host.push_binary(mesh.bvh, (host.prims.len() / 3) as u32);
+            host.prims.extend(mesh.bvh.primitives.iter().flat_map(|&primitive| mesh.record(primitive)));
+        }
+        host.push_placements(&top.primitives, placements, &roots);
+        host.stack_size = binary_depth(top) + meshes.iter().map(|m| binary_depth(m.bvh)).max().unwrap_or(0) + 1;
+        host
+    }
+
+    fn empty(meshes: &[MeshView<'_>]) -> Self {
+        Self {
+            nodes: Vec::new(),
+            prims: Vec::new(),
+            placements: Vec::new(),
+            stack_size: 0,
+            spheres: meshes.iter().any(|m| !m.spheres.is_empty()),
+        }
+    }
+
+    fn push_tree(&mut self, tree: &WideTree, first_leaf: u32) {
+        let first_node = (self.nodes.len() / 20) as u32;
+        for node in &tree.nodes {
+            let mut node = *node;
+            node.child_base += first_node;
+            node.leaf_base += first_leaf;
+            self.nodes.extend_from_slice(bytemuck::cast_slice(&[node]));
+        }
+    }
+
+    fn push_binary(&mut self, tree: &Bvh2, first_leaf: u32) {
+        let first_node = (self.nodes.len() / 8) as u32;
+        for node in &tree.nodes {
+            let mut node = *node;
+            node.right_or_first += if node.count == 0 { first_node } else { first_leaf };
+            self.nodes.extend_from_slice(bytemuck::cast_slice(&[node]));
+        }
+    }
+
+    fn push_placements(&mut self, order: &[u32], placements: &[PlacementView], roots: &[u32]) {
+        for &instance in order {
+            let placement = &placements[instance as usize];
+            let flags = if placement.filtered { PLACEMENT_FILTERED } else { 0 };
+            self.placements.extend(placement.world_to_object.map(|row| row.map(f32::to_bits)));
+            self.placements.push([roots[placement.mesh as usize], instance, flags, 0]);
+        }
+    }
+}
+
+/// For every instance the box of the top level's leaf in which it stands.
+fn leaf_bounds(top: &Bvh2, instances: usize) -> Vec<Aabb> {
+    let mut bounds = vec![Aabb::EMPTY; instances];
+    for node in top.nodes.iter().filter(|node| node.count > 0) {
+        let first = node.right_or_first as usize;
+        for &instance in &top.primitives[first..first + node.count as usize] {
+            bounds[instance as usize] = Aabb { min: node.min.into(), max: node.max.into() };
+        }
+    }
+    bounds
+}
+
+fn binary_depth(tree: &Bvh2) -> u32 {
+    let mut depths = vec![1; tree.nodes.len()];
+    for (i, node) in tree.nodes.iter().enumerate().filter(|(_, node)| node.count == 0) {
+        depths[i + 1] = depths[i] + 1;
+        depths[node.right_or_first as usize] = depths[i] + 1;
+    }
+    depths.into_iter().max().unwrap_or(1)
+}
+
+/// Bind group 0 of the tracing stages.
+pub(super) struct GpuStructure {
+    pub pools: [PoolLayout; 2],
+    pub layout: wgpu::BindGroupLayout,
+    pub group: wgpu::BindGroup,
+    pub stack_size: u32,
+    pub spheres: bool,
+    pub bytes: u64,
+}
+
+impl GpuStructure {
+    pub(super) fn upload(context: &Context, host: &HostStructure) -> Result<Self, DeviceError> {
+        let nodes = Pool::upload(context, "nodes", "vec4<u32>", (0, 0), 16, bytemuck::cast_slice(&host.nodes))?;
+        let prims = Pool::upload(context, "prims", "vec4<f32>", (0, 4), 16, bytemuck::cast_slice(&host.prims))?;
+        let placement_bytes: &[u8] = bytemuck::cast_slice(&host.placements);
+        if placement_bytes.len() as u64 > context.binding_limit() {
+            return Err(DeviceError::TooLarge(format!(
+                "{} instances: `{}` can hold {}",
+                host.placements.len() / 4,
+                context.info.name,
+                context.binding_limit() / 64
+            )));
+        }
+        let placements = context.upload("placements", placement_bytes)?;
+        let mut entries: Vec<_> = nodes.entries().chain(prims.entries()).collect();
+        entries.push(wgpu::BindGroupEntry { binding: 8, resource: placements.as_entire_binding() });
+        let (layout, group) = context.bind_storage("structure", &entries, true);
+        Ok(Self {
+            layout,
+            group,
+            stack_size: host.stack_size,
+            spheres: host.spheres,
+            bytes: nodes.bytes + prims.bytes + placement_bytes.len() as u64,
+            pools: [nodes.layout, prims.layout],
+        })
+    }
+}

@@ -1,0 +1,148 @@
+//! Batches of rays against a structure, without shading: what the benchmark times and the tests compare.
+
+use bytemuck::{Pod, Zeroable};
+
+use super::context::Context;
+use super::shader::{Variant, compose};
+use super::structure::{GpuStructure, HostStructure};
+use crate::device::DeviceError;
+use crate::trace::{Hit, Ray};
+
+/// Threads of a workgroup in every stage.
+pub(super) const WORKGROUP: u32 = 64;
+
+/// Which kernel walks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kernel {
+    /// The product's.
+    Wide,
+    /// The benchmark's base: a plain binary tree with a private stack.
+    Baseline,
+}
+
+/// As in `shaders/shared/rays.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(super) struct GpuHit {
+    pub t: f32,
+    pub u: f32,
+    pub v: f32,
+    pub instance: u32,
+    pub primitive: u32,
+}
+const _: () = assert!(size_of::<GpuHit>() == 20);
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+struct GpuRay {
+    origin: [f32; 3],
+    t_min: f32,
+    direction: [f32; 3],
+    t_max: f32,
+}
+const _: () = assert!(size_of::<GpuRay>() == 32);
+
+/// Traces ray batches on one structure.
+pub struct Tracer<'a> {
+    context: &'a Context,
+    structure: GpuStructure,
+    kernel: Kernel,
+}
+
+/// A batch on the device, to be traced any number of times.
+pub struct Batch {
+    pipeline: wgpu::ComputePipeline,
+    group: wgpu::BindGroup,
+    result: wgpu::Buffer,
+    rays: u32,
+}
+
+impl<'a> Tracer<'a> {
+    pub fn new(context: &'a Context, host: &HostStructure, kernel: Kernel) -> Result<Self, DeviceError> {
+        Ok(Self { context, structure: GpuStructure::upload(context, host)?, kernel })
+    }
+
+    pub fn bytes(&self) -> u64 {
+        self.structure.bytes
+    }
+
+    /// The nearest hit of each ray.
+    pub fn closest(&self, rays: &[Ray]) -> Result<Vec<Option<Hit>>, DeviceError> {
+        let batch = self.prepare(rays, false)?;
+        self.run(&batch)?;
+        let hits: Vec<GpuHit> = self.context.read(&batch.result, rays.len())?;
+        let hit = |h: GpuHit| Hit { t: h.t, u: h.u, v: h.v, instance: h.instance, primitive: h.primitive };
+        Ok(hits.into_iter().map(|h| (h.instance != crate::pack::NONE).then(|| hit(h))).collect())
+    }
+
+    /// Whether anything stands in each ray's way.
+    pub fn occluded(&self, rays: &[Ray]) -> Result<Vec<bool>, DeviceError> {
+        let batch = self.prepare(rays, true)?;
+        self.run(&batch)?;
+        let radiance: Vec<[f32; 4]> = self.context.read(&batch.result, rays.len())?;
+        Ok(radiance.into_iter().map(|r| r[0] == 0.0).collect())
+    }
+
+    /// Uploads rays and compiles the kernel.
+    pub fn prepare(&self, rays: &[Ray], any_hit: bool) -> Result<Batch, DeviceError> {
+        let context = self.context;
+        let gpu_rays: Vec<_> = rays
+            .iter()
+            .map(|r| GpuRay {
+                origin: r.origin.into(),
+                t_min: r.t_min,
+                direction: r.direction.into(),
+                t_max: r.t_max.min(f32::MAX),
+            })
+            .collect();
+        let queue: Vec<u32> = std::iter::once(rays.len() as u32).chain(0..rays.len() as u32).collect();
+        let ray_buffer = context.upload("rays", bytemuck::cast_slice(&gpu_rays))?;
+        let queue = context.upload("queue", bytemuck::cast_slice(&queue))?;
+        let (stage, result, buffers) = if any_hit {
+            let ones = context.upload("contributions", bytemuck::cast_slice(&vec![[1f32; 4]; rays.len()]))?;
+            let radiance = context.upload("radiance", bytemuck::cast_slice(&vec![[0f32; 4]; rays.len()]))?;
+            ("trace_shadow", radiance.clone(), vec![ray_buffer, ones, radiance, queue])
+        } else {
+            let hits = context.upload("hits", bytemuck::cast_slice(&vec![GpuHit::default(); rays.len()]))?;
+            ("trace_closest", hits.clone(), vec![ray_buffer, hits, queue])
+        };
+        let entries: Vec<_> = buffers
+            .iter()
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
+        let (layout, group) = context.bind_storage("rays", &entries, false);
+        let replacements: &[_] = match self.kernel {
+            Kernel::Wide => &[],
+            Kernel::Baseline => &[("traverse", "traverse_baseline")],
+        };
+        let source = compose(
+            stage,
+            &Variant {
+                constants: vec![
+                    ("STACK_SIZE", format!("{}u", self.structure.stack_size)),
+                    ("ANY_HIT", any_hit.to_string()),
+                    ("SPHERES", self.structure.spheres.to_string()),
+                    ("COUNTING", "false".to_owned()),
+                ],
+                pools: &self.structure.pools,
+                replacements,
+            },
+        );
+        let pipeline = context.pipeline(&source, &[Some(&self.structure.layout), None, Some(&layout)]);
+        context.check()?;
+        Ok(Batch { pipeline, group, result, rays: rays.len() as u32 })
+    }
+
+    /// Traces the batch and waits for it.
+    pub fn run(&self, batch: &Batch) -> Result<(), DeviceError> {
+        let mut encoder = self.context.encoder();
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(&batch.pipeline);
+        pass.set_bind_group(0, &self.structure.group, &[]);
+        pass.set_bind_group(2, &batch.group, &[]);
+        pass.dispatch_workgroups(batch.rays.div_ceil(WORKGROUP), 1, 1);
+        drop(pass);
+        self.context.submit(encoder)
+    }
+}
