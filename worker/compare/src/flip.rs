@@ -223,12 +223,12 @@ fn linear_rgb(relative: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_images::{bytes, flat, gradient, noise, shifted};
+    use crate::test_images::{flat, gradient, noise, shifted};
 
     /// Largest per-pixel difference between our errors and NVIDIA's, and the difference of the means.
     fn against_nvidia(reference: &Image, test: &Image, pixels_per_degree: f32) -> (f32, f64) {
         let (width, height) = (reference.width(), reference.height());
-        let (reference_bytes, test_bytes) = (bytes(reference), bytes(test));
+        let (reference_bytes, test_bytes) = (reference.to_srgb8(0.0), test.to_srgb8(0.0));
         let nvidia = |bytes: &[u8]| nv_flip::FlipImageRgb8::with_data(width as u32, height as u32, bytes);
         let theirs = nv_flip::flip(nvidia(&reference_bytes), nvidia(&test_bytes), pixels_per_degree).to_vec();
 

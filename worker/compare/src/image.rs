@@ -65,6 +65,11 @@ impl Image {
         self.pixels.iter().map(|pixel| pixel.map(|c| srgb_encode((c * scale).clamp(0.0, 1.0).max(0.0)))).collect()
     }
 
+    /// As [`Image::from_srgb8`] would read it: clamped, sRGB-encoded, three bytes per pixel.
+    pub fn to_srgb8(&self, exposure: f32) -> Vec<u8> {
+        self.encoded(exposure).into_iter().flatten().map(|c| (c * 255.0).round() as u8).collect()
+    }
+
     pub(crate) fn plane(&self, values: Vec<f32>) -> Plane {
         Plane::new(self.width, self.height, values)
     }
@@ -116,8 +121,7 @@ mod tests {
     fn srgb_round_trip_is_exact_in_8_bits() {
         let bytes: Vec<u8> = (0..=255).flat_map(|v| [v; 3]).collect();
         let image = Image::from_srgb8(256, 1, &bytes).unwrap();
-        let back: Vec<u8> = image.encoded(0.0).iter().flatten().map(|c| (c * 255.0).round() as u8).collect();
-        assert_eq!(back, bytes);
+        assert_eq!(image.to_srgb8(0.0), bytes);
     }
 
     #[test]

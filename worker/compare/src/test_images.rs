@@ -1,6 +1,6 @@
 //! Deterministic images for the tests of this crate.
 
-use crate::image::{Image, srgb_encode};
+use crate::image::Image;
 
 pub(crate) fn flat(width: usize, height: usize, color: [f32; 3]) -> Image {
     Image::new(width, height, vec![color; width * height]).unwrap()
@@ -33,9 +33,4 @@ pub(crate) fn shifted(image: &Image, by: usize) -> Image {
     let width = image.width();
     let pixels = image.pixels().chunks_exact(width).flat_map(|row| (0..width).map(|x| row[x.saturating_sub(by)]));
     Image::new(width, image.height(), pixels.collect()).unwrap()
-}
-
-/// 8-bit sRGB, as a PNG would hold it.
-pub(crate) fn bytes(image: &Image) -> Vec<u8> {
-    image.pixels().iter().flatten().map(|&c| (srgb_encode(c.clamp(0.0, 1.0)) * 255.0).round() as u8).collect()
 }
