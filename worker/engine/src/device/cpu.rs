@@ -1,1 +1,213 @@
 //! The CPU device: rayon over tiles, native kernels.
+//!
+//! Tiles are computed apart and written to the film when all are done, so that a cancelled pass leaves the film as it
+//! was. Nothing depends on the number of threads or the order of tiles.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use super::{CancelCheck, Device, DeviceError, DeviceInfo, Pass, PassStats, Region, Renderer};
+use crate::film::{AovBuffers, AovLayer, PassFilm};
+use crate::integrate::aov::{FirstHit, first_hit};
+use crate::integrate::{Sample, Tally, radiance};
+use crate::pack::PackedScene;
+use crate::settings::{Aov, Integrator, RenderSettings};
+
+/// Side of a tile in pixels.
+const TILE: u32 = 16;
+
+/// Renders in rayon's current thread pool.
+#[derive(Debug, Default)]
+pub struct CpuDevice;
+
+impl CpuDevice {
+    pub fn new() -> Self {
+        Self
+    }
+}
+
+impl Device for CpuDevice {
+    fn info(&self) -> DeviceInfo {
+        let threads = rayon::current_num_threads();
+        let plural = if threads == 1 { "" } else { "s" };
+        DeviceInfo {
+            kind: "cpu",
+            name: format!("{}, {threads} thread{plural}", instruction_set()),
+            driver: String::new(),
+            backend: String::new(),
+            device_type: "Cpu".into(),
+            max_binding_bytes: 0,
+        }
+    }
+
+    fn prepare(
+        &mut self,
+        scene: Arc<PackedScene>,
+        settings: &RenderSettings,
+    ) -> Result<Box<dyn Renderer>, DeviceError> {
+        Ok(Box::new(CpuRenderer { scene, integrator: settings.integrator, seed: settings.seed }))
+    }
+}
+
+/// The widest vector instructions that the traversal kernels use here.
+fn instruction_set() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        return "AVX2";
+    }
+    "portable"
+}
+
+struct CpuRenderer {
+    scene: Arc<PackedScene>,
+    integrator: Integrator,
+    seed: u32,
+}
+
+impl Renderer for CpuRenderer {
+    fn render(&mut self, pass: &Pass, film: &mut PassFilm, cancel: CancelCheck<'_>) -> Result<PassStats, DeviceError> {
+        check_region(pass.region, film.region)?;
+        let last = pass.first_sample.checked_add(pass.samples);
+        let last = last.ok_or_else(|| DeviceError::Other("the pass counts its samples past 32 bits".into()))?;
+        let started = Instant::now();
+        let (scene, integrator, seed) = (&*self.scene, self.integrator, self.seed);
+        let tiles = for_tiles(pass.region, cancel, |x, y, tally| {
+            let mut sum = [0.0f64; 3];
+            for index in pass.first_sample..last {
+                let value = radiance(scene, integrator, Sample { x, y, index, seed }, tally);
+                sum[0] += f64::from(value.x);
+                sum[1] += f64::from(value.y);
+                sum[2] += f64::from(value.z);
+            }
+            sum
+        })?;
+        let mut stats = PassStats::default();
+        for tile in tiles {
+            add(&mut stats, &tile.tally);
+            tile.for_each(film.region, |i, value| (0..3).for_each(|c| film.sum[i][c] += value[c]));
+        }
+        film.samples += pass.samples;
+        stats.seconds = started.elapsed().as_secs_f64();
+        Ok(stats)
+    }
+
+    fn aovs(
+        &mut self,
+        region: Region,
+        out: &mut AovBuffers,
+        cancel: CancelCheck<'_>,
+    ) -> Result<PassStats, DeviceError> {
+        check_region(region, out.region)?;
+        let started = Instant::now();
+        let scene = &*self.scene;
+        let tiles = for_tiles(region, cancel, |x, y, tally| first_hit(scene, x, y, tally))?;
+        let mut stats = PassStats::default();
+        let target = out.region;
+        for tile in tiles {
+            add(&mut stats, &tile.tally);
+            for (aov, layer) in &mut out.layers {
+                tile.for_each(target, |i, hit| store(*aov, layer, i, hit));
+            }
+        }
+        stats.seconds = started.elapsed().as_secs_f64();
+        Ok(stats)
+    }
+
+    fn device_bytes(&self) -> u64 {
+        0
+    }
+}
+
+fn add(stats: &mut PassStats, tally: &Tally) {
+    stats.rays += tally.rays;
+    stats.counters += tally.counters;
+}
+
+/// The pass must lie within what the film covers.
+fn check_region(inner: Region, outer: Region) -> Result<(), DeviceError> {
+    let end = |start: u32, length: u32| u64::from(start) + u64::from(length);
+    let fits = inner.x >= outer.x
+        && inner.y >= outer.y
+        && end(inner.x, inner.width) <= end(outer.x, outer.width)
+        && end(inner.y, inner.height) <= end(outer.y, outer.height);
+    if fits { Ok(()) } else { Err(DeviceError::Other(format!("the pass covers {inner:?}, the film only {outer:?}"))) }
+}
+
+struct Tile<T> {
+    region: Region,
+    values: Vec<T>,
+    tally: Tally,
+}
+
+impl<T> Tile<T> {
+    /// Each value with its place in a row-major buffer over `target`.
+    fn for_each(&self, target: Region, mut f: impl FnMut(usize, &T)) {
+        for (k, value) in self.values.iter().enumerate() {
+            let x = (self.region.x - target.x) as usize + k % self.region.width as usize;
+            let y = (self.region.y - target.y) as usize + k / self.region.width as usize;
+            f(y * target.width as usize + x, value);
+        }
+    }
+}
+
+/// Evaluates every pixel of `region`, tile by tile; `cancel` is asked at every pixel, which costs less than one ray.
+fn for_tiles<T: Send>(
+    region: Region,
+    cancel: CancelCheck<'_>,
+    pixel: impl Fn(u32, u32, &mut Tally) -> T + Sync,
+) -> Result<Vec<Tile<T>>, DeviceError> {
+    let (columns, rows) = (region.width.div_ceil(TILE), region.height.div_ceil(TILE));
+    let cancelled = AtomicBool::new(false);
+    let tiles: Vec<Option<Tile<T>>> = (0..columns * rows)
+        .into_par_iter()
+        .map(|number| {
+            let (dx, dy) = (number % columns * TILE, number / columns * TILE);
+            let tile = Region {
+                x: region.x + dx,
+                y: region.y + dy,
+                width: TILE.min(region.width - dx),
+                height: TILE.min(region.height - dy),
+            };
+            let mut tally = Tally::default();
+            let mut values = Vec::with_capacity(tile.pixels());
+            for y in tile.y..tile.y + tile.height {
+                for x in tile.x..tile.x + tile.width {
+                    if cancelled.load(Ordering::Relaxed) || cancel() {
+                        cancelled.store(true, Ordering::Relaxed);
+                        return None;
+                    }
+                    values.push(pixel(x, y, &mut tally));
+                }
+            }
+            Some(Tile { region: tile, values, tally })
+        })
+        .collect();
+    tiles.into_iter().collect::<Option<Vec<_>>>().ok_or(DeviceError::Cancelled)
+}
+
+fn store(aov: Aov, layer: &mut AovLayer, i: usize, hit: &FirstHit) {
+    match layer {
+        AovLayer::Scalar(values) => values[i] = hit.depth,
+        AovLayer::Vector(values) => {
+            values[i] = match aov {
+                Aov::Position => hit.position,
+                Aov::GeometricNormal => hit.geometric_normal,
+                Aov::ShadingNormal => hit.shading_normal,
+                _ => hit.albedo,
+            }
+            .to_array();
+        }
+        AovLayer::Integer(values) => {
+            values[i] = match aov {
+                Aov::InstanceId => hit.instance,
+                Aov::PrimitiveId => hit.primitive,
+                Aov::MaterialId => hit.material,
+                Aov::BoxTests => hit.box_tests,
+                _ => hit.triangle_tests,
+            };
+        }
+    }
+}

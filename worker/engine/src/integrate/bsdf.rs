@@ -165,7 +165,7 @@ pub fn sample_visible_normal(alpha: f32, wo: Vec3, u: f32, v: f32) -> Vec3 {
     h * (1.0 / h.dot(h).sqrt())
 }
 
-/// `f * cos` for light from the local direction `wi`; zero below the surface.
+/// `f * cos` of all lobes for light from the local direction `wi`; zero below the surface.
 pub fn eval_bsdf(table: &[f32], bsdf: &Bsdf, wi: Vec3) -> Vec3 {
     if wi.z <= 0.0 || bsdf.wo.z <= 0.0 {
         return Vec3::ZERO;
@@ -174,11 +174,18 @@ pub fn eval_bsdf(table: &[f32], bsdf: &Bsdf, wi: Vec3) -> Vec3 {
     let h = sum * (1.0 / sum.dot(sum).sqrt());
     let fresnel = bsdf.f0 + (Vec3::ONE - bsdf.f0) * schlick(bsdf.wo.dot(h));
     let specular = fresnel * (ggx_d(bsdf.alpha, h) * ggx_g2(bsdf.alpha, bsdf.wo, wi) / (4.0 * bsdf.wo.z));
+    specular + eval_cosine_lobes(table, bsdf, wi)
+}
+
+/// `f * cos` of the diffuse and the multiple-scattering lobe.
+pub fn eval_cosine_lobes(table: &[f32], bsdf: &Bsdf, wi: Vec3) -> Vec3 {
+    if wi.z <= 0.0 || bsdf.wo.z <= 0.0 {
+        return Vec3::ZERO;
+    }
     let (a_i, b_i) = ggx_albedo(table, bsdf.roughness, wi.z);
     let lost_i = (1.0 - a_i - b_i).max(0.0);
     let left_i = 1.0 - (DIELECTRIC_F0 * a_i + b_i + bsdf.dielectric_multiple * lost_i);
-    let cosine_lobes = bsdf.multiple * (bsdf.lost_o * lost_i) + bsdf.diffuse * (bsdf.left_o * left_i);
-    specular + cosine_lobes * wi.z
+    (bsdf.multiple * (bsdf.lost_o * lost_i) + bsdf.diffuse * (bsdf.left_o * left_i)) * wi.z
 }
 
 /// Solid-angle density with which [`sample_bsdf`] picks `wi`.

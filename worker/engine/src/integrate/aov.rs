@@ -1,0 +1,76 @@
+//! First-hit quantities: layers beside the picture, and the picture of the `aov` integrator.
+//!
+//! Layers look through pixel centres and see blended surfaces where their alpha is at least a half, so that they carry
+//! no noise.
+
+use glam::Vec3;
+
+use super::alpha::{AlphaFilter, SEED_HALF};
+use super::camera::camera_ray;
+use super::surface::{hit_point, shade_point};
+use super::{Sample, Tally, primary_ray};
+use crate::pack::PackedScene;
+use crate::trace::Counters;
+
+/// All quantities of one pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FirstHit {
+    /// World-space distance along the ray; infinite on a miss.
+    pub depth: f32,
+    /// Vectors are zero on a miss.
+    pub position: Vec3,
+    /// On the camera's side.
+    pub geometric_normal: Vec3,
+    pub shading_normal: Vec3,
+    /// Linear base colour.
+    pub albedo: Vec3,
+    /// Ids are `u32::MAX` on a miss.
+    pub instance: u32,
+    pub primitive: u32,
+    pub material: u32,
+    pub box_tests: u32,
+    pub triangle_tests: u32,
+}
+
+/// What the ray through the centre of pixel `(x, y)` meets.
+pub fn first_hit(scene: &PackedScene, x: u32, y: u32, tally: &mut Tally) -> FirstHit {
+    let ray = camera_ray(&scene.camera, x, y, 0.5, 0.5);
+    let mut counters = Counters::default();
+    let hit = scene.accel.closest(&ray, &AlphaFilter { scene, seed: SEED_HALF }, &mut counters);
+    tally.rays.primary += 1;
+    tally.counters += counters;
+    let mut out = FirstHit {
+        depth: f32::INFINITY,
+        position: Vec3::ZERO,
+        geometric_normal: Vec3::ZERO,
+        shading_normal: Vec3::ZERO,
+        albedo: Vec3::ZERO,
+        instance: u32::MAX,
+        primitive: u32::MAX,
+        material: u32::MAX,
+        box_tests: u32::try_from(counters.box_tests).unwrap_or(u32::MAX),
+        triangle_tests: u32::try_from(counters.triangle_tests).unwrap_or(u32::MAX),
+    };
+    if let Some(hit) = hit {
+        let surface = shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction);
+        out.depth = hit.t;
+        out.position = surface.position;
+        out.geometric_normal = surface.geometric_normal;
+        out.shading_normal = surface.normal;
+        out.albedo = surface.base_color;
+        out.instance = hit.instance;
+        out.primitive = hit.primitive;
+        out.material = surface.material;
+    }
+    out
+}
+
+/// The shading normal mapped to 0..1; black on a miss.
+pub fn normal_radiance(scene: &PackedScene, sample: Sample, tally: &mut Tally) -> Vec3 {
+    let ray = primary_ray(scene, sample);
+    tally.rays.primary += 1;
+    match scene.accel.closest(&ray, &AlphaFilter { scene, seed: SEED_HALF }, &mut tally.counters) {
+        Some(hit) => shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction).normal * 0.5 + Vec3::splat(0.5),
+        None => Vec3::ZERO,
+    }
+}
