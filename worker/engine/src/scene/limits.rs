@@ -1,0 +1,57 @@
+//! What one scene may cost. Every limit is checked before the memory that it bounds is allocated.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::{ImportError, ImportErrorKind};
+
+/// Budget of one import. The defaults suit a service that takes files from strangers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Bytes read from the scene's files, counted after decompression.
+    pub input_bytes: u64,
+    /// Bytes of decoded geometry.
+    pub geometry_bytes: u64,
+    /// Triangles and spheres over all unique meshes.
+    pub triangles: u64,
+    pub instances: u64,
+    pub nodes: u64,
+    /// Pixels over all images.
+    pub texture_pixels: u64,
+    /// Pixels along either side of an image.
+    pub image_side: u32,
+    /// Files in a .zip or in an upload of several parts.
+    pub files: u64,
+    /// Decompressed over compressed size of a .zip entry larger than 1 MiB.
+    pub zip_ratio: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            input_bytes: 2 << 30,
+            geometry_bytes: 8 << 30,
+            triangles: 50_000_000,
+            instances: 1_000_000,
+            nodes: 2_000_000,
+            texture_pixels: 512 << 20,
+            image_side: 32_768,
+            files: 10_000,
+            zip_ratio: 200,
+        }
+    }
+}
+
+impl Limits {
+    /// An error at `position` unless `found <= limit`; `what` names the limited thing in the plural.
+    pub(super) fn check(position: &str, what: &str, found: u64, limit: u64) -> Result<(), ImportError> {
+        if found <= limit {
+            return Ok(());
+        }
+        Err(ImportError::new(
+            ImportErrorKind::Limit,
+            position,
+            format!("{found} {what} are more than the limit of {limit}"),
+        ))
+    }
+}
