@@ -1,17 +1,28 @@
 //! Spatial structures: built once per unique mesh, shared by every instance, job and worker.
+//!
+//! [`MeshStructure::build`] makes a binary tree ([`Bvh2`], from which every device makes its own layout) and the wide
+//! tree that the CPU walks. [`SceneAccel`] places structures in the world and is what rays are traced against.
 
-use std::sync::Arc;
+mod build;
+pub(crate) mod bvh2;
+mod store;
+mod two_level;
+pub(crate) mod wide;
+
 use std::sync::atomic::AtomicBool;
 
-use glam::Affine3A;
+pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
+pub use two_level::{HitFilter, Placement, SceneAccel};
 
-use crate::scene::{Mesh, MeshHash};
-use crate::trace::{Counters, Hit, Ray};
+use crate::scene::{Aabb, Mesh, MeshHash};
+use wide::WideBvh;
 
-/// Which structure, and how it is to be built. `canonical()` is its part of the cache key.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Which structure, and how it is to be built. [`Self::canonical`] is its part of the cache key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct BuildParams {
     pub quality: Quality,
+    /// Lets a primitive stand in several leaves where that pays (Stich, Friedrich, Dietrich 2009): slower to build,
+    /// and faster to trace where large triangles overlap.
     pub spatial_splits: bool,
 }
 
@@ -37,33 +48,6 @@ pub struct StructureKey {
     pub builder_version: u32,
 }
 
-/// A binary BVH, nodes in depth-first order: the left child of inner node `i` is `i + 1`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Bvh2 {
-    /// Node 0 is the root; empty for a mesh without primitives.
-    pub nodes: Vec<Bvh2Node>,
-    /// Primitive numbers, in leaf order (with spatial splits one may stand in several leaves).
-    pub primitives: Vec<u32>,
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-pub struct Bvh2Node {
-    pub min: [f32; 3],
-    /// Inner: the right child's number. Leaf: the first of its `count` entries in [`Bvh2::primitives`].
-    pub right_or_first: u32,
-    pub max: [f32; 3],
-    /// 0 for inner nodes.
-    pub count: u32,
-}
-const _: () = assert!(size_of::<Bvh2Node>() == 32);
-
-/// The structure of one mesh. Cheap to share; immutable.
-#[derive(Debug)]
-pub struct MeshStructure {
-    _private: (),
-}
-
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
     #[error("the build was cancelled")]
@@ -78,91 +62,97 @@ pub struct CorruptStructure(pub String);
 
 impl BuildParams {
     pub fn key(&self, mesh: MeshHash) -> StructureKey {
-        let _ = mesh;
-        unreachable!()
+        StructureKey { mesh, kind: "bvh", parameters: self.canonical(), builder_version: BUILDER_VERSION }
     }
+
+    pub fn canonical(&self) -> String {
+        let quality = match self.quality {
+            Quality::Fast => "fast",
+            Quality::Medium => "medium",
+            Quality::High => "high",
+        };
+        format!("quality={quality},spatial_splits={}", self.spatial_splits)
+    }
+}
+
+/// The structure of one mesh. Immutable; share it in an [`std::sync::Arc`].
+#[derive(Debug)]
+pub struct MeshStructure {
+    mesh: MeshHash,
+    bvh2: Bvh2,
+    wide: WideBvh,
 }
 
 impl MeshStructure {
     /// Builds with rayon's current pool; looks at `cancel` often enough to stop within 100 ms.
-    pub fn build(_mesh: &Mesh, _params: &BuildParams, _cancel: &AtomicBool) -> Result<Self, BuildError> {
-        unreachable!()
+    ///
+    /// The mesh's indices must be in range. Primitives with a NaN or an infinity are left out.
+    pub fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> Result<Self, BuildError> {
+        let bvh2 = build::build(mesh, params, cancel)?;
+        build::check(cancel)?;
+        Self::from_bvh2(bvh2, mesh).map_err(BuildError::Unsupported)
+    }
+
+    fn from_bvh2(bvh2: Bvh2, mesh: &Mesh) -> Result<Self, String> {
+        let wide = WideBvh::over_mesh(&bvh2, mesh)?;
+        Ok(Self { mesh: mesh.hash, bvh2, wide })
+    }
+
+    /// The mesh that the structure was built over.
+    pub fn mesh(&self) -> MeshHash {
+        self.mesh
     }
 
     /// The binary tree that every device's layout is made from.
     pub fn bvh2(&self) -> &Bvh2 {
-        unreachable!()
+        &self.bvh2
     }
 
     /// Memory that the structure takes, in bytes.
     pub fn bytes(&self) -> usize {
-        unreachable!()
+        self.bvh2.bytes() + self.wide.bytes()
     }
 
-    /// The stored form: header, checksum, little-endian arrays.
+    /// The stored form: header, checksum, little-endian arrays of the binary tree.
     pub fn encode(&self) -> Vec<u8> {
-        unreachable!()
+        store::encode(self.mesh, &self.bvh2)
     }
 
-    /// Checks header, version, checksum and every index before anything is traced with it.
-    pub fn decode(_bytes: &[u8]) -> Result<Self, CorruptStructure> {
-        unreachable!()
+    /// Reads what [`Self::encode`] wrote for `mesh`. Checks header, version, checksum, mesh and every index before
+    /// anything is made of it. The wide tree is made anew: that takes less time than to read it would.
+    pub fn decode(bytes: &[u8], mesh: &Mesh) -> Result<Self, CorruptStructure> {
+        let bvh2 = store::decode(bytes, mesh).map_err(CorruptStructure)?;
+        Self::from_bvh2(bvh2, mesh).map_err(CorruptStructure)
     }
 
-    /// Every primitive referenced, boxes nested and finite, indices in range.
-    pub fn validate(&self, _mesh: &Mesh) -> Result<(), String> {
-        unreachable!()
-    }
-}
-
-/// One placed mesh, as the top level sees it.
-#[derive(Clone, Copy, Debug)]
-pub struct Placement {
-    /// Index into the scene's structures.
-    pub mesh: u32,
-    pub transform: Affine3A,
-    /// Candidate hits of this instance go through the [`HitFilter`].
-    pub filtered: bool,
-}
-
-/// Decides whether a candidate hit counts (alpha mask and blend). Must depend on the hit alone, never on the order of
-/// the calls: the same ray gives the same answers on every device.
-pub trait HitFilter {
-    fn accept(&self, ray: &Ray, hit: &Hit) -> bool;
-}
-
-/// A top-level structure over instances of mesh structures: what rays are traced against.
-#[derive(Debug)]
-pub struct SceneAccel {
-    _private: (),
-}
-
-impl SceneAccel {
-    pub fn build(_structures: Vec<Arc<MeshStructure>>, _placements: &[Placement]) -> Self {
-        unreachable!()
+    /// Checks that every primitive is referenced and lies in its leaves' boxes, that boxes are finite and nested, and
+    /// that indices are in range.
+    pub fn validate(&self, mesh: &Mesh) -> Result<(), String> {
+        if self.mesh != mesh.hash {
+            return Err(format!("the structure is for mesh {}, not {}", self.mesh, mesh.hash));
+        }
+        self.bvh2.check_topology(mesh.primitive_count())?;
+        self.bvh2.check_boxes()?;
+        // With spatial splits a leaf may hold a part of its primitive: the leaves together must hold all of it.
+        let mut covered = vec![Aabb::EMPTY; mesh.primitive_count()];
+        for leaf in self.bvh2.nodes.iter().filter(|node| node.is_leaf()) {
+            let range = leaf.right_or_first as usize..(leaf.right_or_first + leaf.count) as usize;
+            for &primitive in &self.bvh2.primitives[range] {
+                let covered = &mut covered[primitive as usize];
+                *covered = covered.union(leaf.bounds());
+            }
+        }
+        for (primitive, covered) in covered.iter().enumerate() {
+            let bounds = build::primitive_bounds(mesh, primitive);
+            let traceable = bounds.min.is_finite() && bounds.max.is_finite();
+            if traceable && !(covered.min.cmple(bounds.min).all() && bounds.max.cmple(covered.max).all()) {
+                return Err(format!("primitive {primitive} is not inside the leaves that refer to it"));
+            }
+        }
+        Ok(())
     }
 
-    /// The nearest hit in `(t_min, t_max)`.
-    pub fn closest(&self, _ray: &Ray, _filter: &dyn HitFilter, _counters: &mut Counters) -> Option<Hit> {
-        unreachable!()
-    }
-
-    /// Whether anything is hit in `(t_min, t_max)`.
-    pub fn occluded(&self, _ray: &Ray, _filter: &dyn HitFilter, _counters: &mut Counters) -> bool {
-        unreachable!()
-    }
-
-    /// Bytes of the top level alone.
-    pub fn top_bytes(&self) -> usize {
-        unreachable!()
-    }
-
-    /// The top level over world-space instance bounds; its primitives are instance numbers.
-    pub fn top(&self) -> &Bvh2 {
-        unreachable!()
-    }
-
-    pub fn structures(&self) -> &[Arc<MeshStructure>] {
-        unreachable!()
+    fn wide(&self) -> &WideBvh {
+        &self.wide
     }
 }

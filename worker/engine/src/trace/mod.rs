@@ -1,8 +1,18 @@
 //! Rays, hits, and the CPU kernels that bring them together.
 
+mod kernel;
+mod object_ray;
+mod packet;
+mod simd;
+
 use glam::Vec3;
 
-/// A ray segment `origin + t * direction`, `t_min < t < t_max`. The direction need not be a unit vector.
+pub use kernel::Kernels;
+pub(crate) use kernel::{LeafVisitor, Sink};
+pub(crate) use object_ray::ObjectRay;
+
+/// A ray segment `origin + t * direction`, `t_min < t < t_max`. The direction need not be a unit vector. A negative
+/// `t_min` counts as 0; a ray with a NaN, an infinite origin or direction, or no direction hits nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
     pub origin: Vec3,
@@ -30,7 +40,8 @@ pub struct Hit {
     pub primitive: u32,
 }
 
-/// Work that one or many rays did.
+/// Work that one or many rays did. Kernels that test several boxes or primitives at once count all of them, used or
+/// not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     pub box_tests: u64,

@@ -1,0 +1,307 @@
+//! The top level: instances of mesh structures, placed in the world.
+//!
+//! It is built per job, over world-space boxes that are tight: not the turned root box of a mesh, but the union of the
+//! turned boxes of a cut through the upper part of its tree. A ray goes into an instance's space without being
+//! normalised, so `t` means the same everywhere.
+
+use std::sync::Arc;
+
+use glam::{Affine3A, DMat3, Mat3, Vec3};
+use rayon::prelude::*;
+
+use super::bvh2::Bvh2;
+use super::wide::{self, Node};
+use super::{MeshStructure, build};
+use crate::scene::Aabb;
+use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink};
+
+/// Boxes of a mesh that bound its instances.
+const CUT_SIZE: usize = 32;
+
+/// One placed mesh, as the top level sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Placement {
+    /// Index into the scene's structures.
+    pub mesh: u32,
+    pub transform: Affine3A,
+    /// Candidate hits of this instance go through the [`HitFilter`].
+    pub filtered: bool,
+}
+
+/// Decides whether a candidate hit counts (alpha mask and blend). Must depend on the hit alone, never on the order of
+/// the calls: the same ray gives the same answers on every device.
+pub trait HitFilter {
+    fn accept(&self, ray: &Ray, hit: &Hit) -> bool;
+}
+
+/// A top-level structure over instances of mesh structures: what rays are traced against.
+#[derive(Debug)]
+pub struct SceneAccel {
+    structures: Vec<Arc<MeshStructure>>,
+    /// As many as placements were given.
+    instances: Vec<Instance>,
+    top: Bvh2,
+    top_nodes: Vec<Node>,
+    /// The instance of each leaf entry of `top_nodes`.
+    top_entries: Vec<u32>,
+    bounds: Aabb,
+    /// The one instance there is, when object space is world space: the top level is then not walked.
+    only: Option<u32>,
+    kernels: Kernels,
+}
+
+/// An instance as a ray meets it.
+#[derive(Clone, Copy, Debug)]
+struct Instance {
+    /// World to object directions.
+    inverse: Mat3,
+    /// Taken off before `inverse` is applied: so nothing is lost far from the world's origin.
+    translation: Vec3,
+    structure: u32,
+    filtered: bool,
+}
+
+impl SceneAccel {
+    /// Builds the top level. An instance whose transform cannot be inverted has no surface and is left out.
+    ///
+    /// # Panics
+    /// When a placement refers to a structure that is not there, or with more than 2^27 placements.
+    pub fn build(structures: Vec<Arc<MeshStructure>>, placements: &[Placement]) -> Self {
+        let cuts: Vec<Vec<Aabb>> = structures.par_iter().map(|structure| cut(structure.bvh2())).collect();
+        let (instances, boxes): (Vec<Instance>, Vec<Aabb>) = placements
+            .par_iter()
+            .with_min_len(256)
+            .map(|placement| {
+                let instance = Instance::new(placement);
+                let visible =
+                    instance.inverse.is_finite() && instance.inverse != Mat3::ZERO && instance.translation.is_finite();
+                let cut = &cuts[placement.mesh as usize];
+                (instance, if visible { world_bounds(cut, &placement.transform) } else { Aabb::EMPTY })
+            })
+            .unzip();
+        let top = build::build_over_boxes(&boxes, 1);
+        let (top_nodes, top_entries) = wide::over_instances(&top).expect("fewer than 2^27 instances");
+        let bounds = top.bounds();
+        let only = match *top.primitives {
+            [only] if placements[only as usize].transform == Affine3A::IDENTITY => Some(only),
+            _ => None,
+        };
+        Self { structures, instances, top, top_nodes, top_entries, bounds, only, kernels: Kernels::detect() }
+    }
+
+    /// The same scene, walked by other kernels than the best for this CPU: their answers are the same.
+    pub fn with_kernels(self, kernels: Kernels) -> Self {
+        Self { kernels, ..self }
+    }
+
+    /// The nearest hit in `(t_min, t_max)`. Of several at the same `t` the one of the lowest instance counts, and in it
+    /// that of the lowest primitive: so the answer does not depend on the structure.
+    pub fn closest(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> Option<Hit> {
+        let nothing = Hit { t: ray.t_max, u: 0.0, v: 0.0, instance: 0, primitive: 0 };
+        let mut sink = Closest { best: nothing, found: false };
+        self.walk(ray, filter, &mut sink, counters);
+        sink.found.then_some(sink.best)
+    }
+
+    /// Whether anything is hit in `(t_min, t_max)`.
+    pub fn occluded(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
+        self.walk(ray, filter, &mut Any { t_max: ray.t_max }, counters)
+    }
+
+    fn walk(&self, ray: &Ray, filter: &dyn HitFilter, sink: &mut impl Sink, counters: &mut Counters) -> bool {
+        if let Some(only) = self.only {
+            return self.walk_instance(only, ray, ray, filter, sink, counters);
+        }
+        let Some(world_ray) = ObjectRay::new(ray, &self.bounds) else { return false };
+        let mut visitor = InstanceVisitor { scene: self, ray, filter, sink, counters: Counters::default() };
+        let stopped = self.kernels.walk_top(&self.top_nodes, &world_ray, &mut visitor, counters);
+        *counters += visitor.counters;
+        stopped
+    }
+
+    #[inline(always)]
+    fn walk_instance(
+        &self,
+        number: u32,
+        ray: &Ray,
+        object_ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        let instance = &self.instances[number as usize];
+        let structure = &self.structures[instance.structure as usize];
+        let Some(object_ray) = ObjectRay::new(object_ray, &structure.bvh2().bounds()) else { return false };
+        if instance.filtered {
+            let mut sink = Filtered { sink, filter, ray };
+            self.kernels.walk_mesh(structure.wide(), &object_ray, number, &mut sink, counters)
+        } else {
+            self.kernels.walk_mesh(structure.wide(), &object_ray, number, sink, counters)
+        }
+    }
+
+    /// Bytes of the top level alone.
+    pub fn top_bytes(&self) -> usize {
+        self.top.bytes()
+            + size_of_val(self.top_nodes.as_slice())
+            + size_of_val(self.top_entries.as_slice())
+            + size_of_val(self.instances.as_slice())
+    }
+
+    /// The top level over world-space instance bounds; its primitives are instance numbers.
+    pub fn top(&self) -> &Bvh2 {
+        &self.top
+    }
+
+    pub fn structures(&self) -> &[Arc<MeshStructure>] {
+        &self.structures
+    }
+}
+
+impl Instance {
+    fn new(placement: &Placement) -> Self {
+        // The inverse in double precision, so that one rounding is all it suffers.
+        let linear = DMat3::from_cols(
+            placement.transform.matrix3.x_axis.as_dvec3(),
+            placement.transform.matrix3.y_axis.as_dvec3(),
+            placement.transform.matrix3.z_axis.as_dvec3(),
+        );
+        Self {
+            inverse: linear.inverse_or_zero().as_mat3(),
+            translation: placement.transform.translation.into(),
+            structure: placement.mesh,
+            filtered: placement.filtered,
+        }
+    }
+
+    #[inline(always)]
+    fn to_object(self, ray: &Ray, t_max: f32) -> Ray {
+        Ray {
+            origin: self.inverse * (ray.origin - self.translation),
+            t_min: ray.t_min,
+            direction: self.inverse * ray.direction,
+            t_max,
+        }
+    }
+}
+
+/// Boxes that together hold the mesh: the largest are opened first.
+fn cut(bvh2: &Bvh2) -> Vec<Aabb> {
+    let area = |index: usize| {
+        let e = bvh2.nodes[index].bounds().extent();
+        e.x * e.y + e.y * e.z + e.z * e.x
+    };
+    let mut cut: Vec<usize> = if bvh2.nodes.is_empty() { Vec::new() } else { vec![0] };
+    while cut.len() < CUT_SIZE {
+        let inner = (0..cut.len()).filter(|&at| !bvh2.nodes[cut[at]].is_leaf());
+        let Some(largest) = inner.max_by(|&a, &b| area(cut[a]).total_cmp(&area(cut[b]))) else { break };
+        let node = cut[largest];
+        cut[largest] = node + 1;
+        cut.push(bvh2.nodes[node].right_or_first as usize);
+    }
+    cut.into_iter().map(|index| bvh2.nodes[index].bounds()).collect()
+}
+
+/// The box around transformed boxes, a few ulps larger than rounding can make it too small.
+fn world_bounds(cut: &[Aabb], transform: &Affine3A) -> Aabb {
+    let matrix = Mat3::from(transform.matrix3);
+    let absolute = Mat3::from_cols(matrix.x_axis.abs(), matrix.y_axis.abs(), matrix.z_axis.abs());
+    let mut bounds = Aabb::EMPTY;
+    let mut magnitude = Vec3::from(transform.translation).abs();
+    for part in cut {
+        let center = 0.5 * part.min + 0.5 * part.max;
+        let half = (0.5 * part.max - 0.5 * part.min) * (1.0 + 2.0 * f32::EPSILON);
+        let (center, half) = (matrix * center + Vec3::from(transform.translation), absolute * half);
+        bounds = bounds.union(Aabb { min: center - half, max: center + half });
+        magnitude = magnitude.max(absolute * part.min.abs().max(part.max.abs()));
+    }
+    if bounds.is_empty() || !(bounds.min.is_finite() && bounds.max.is_finite()) {
+        return Aabb::EMPTY;
+    }
+    let slack = magnitude * (8.0 * f32::EPSILON);
+    Aabb { min: bounds.min - slack, max: bounds.max + slack }
+}
+
+struct InstanceVisitor<'a, S> {
+    scene: &'a SceneAccel,
+    ray: &'a Ray,
+    filter: &'a dyn HitFilter,
+    sink: &'a mut S,
+    counters: Counters,
+}
+
+impl<S: Sink> LeafVisitor for InstanceVisitor<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
+        for entry in entries {
+            let number = self.scene.top_entries[entry];
+            let object_ray = self.scene.instances[number as usize].to_object(self.ray, self.sink.t_limit());
+            if self.scene.walk_instance(number, self.ray, &object_ray, self.filter, self.sink, &mut self.counters) {
+                return true;
+            }
+        }
+        false
+    }
+
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.sink.t_limit()
+    }
+}
+
+struct Closest {
+    best: Hit,
+    found: bool,
+}
+
+impl Sink for Closest {
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.best.t
+    }
+
+    #[inline(always)]
+    fn offer(&mut self, hit: Hit) -> bool {
+        let tie = hit.t == self.best.t && (hit.instance, hit.primitive) < (self.best.instance, self.best.primitive);
+        if hit.t < self.best.t || tie {
+            *self = Self { best: hit, found: true };
+        }
+        false
+    }
+}
+
+struct Any {
+    t_max: f32,
+}
+
+impl Sink for Any {
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.t_max
+    }
+
+    #[inline(always)]
+    fn offer(&mut self, hit: Hit) -> bool {
+        hit.t < self.t_max
+    }
+}
+
+/// Lets only hits through that the filter accepts.
+struct Filtered<'a, S> {
+    sink: &'a mut S,
+    filter: &'a dyn HitFilter,
+    /// In world space.
+    ray: &'a Ray,
+}
+
+impl<S: Sink> Sink for Filtered<'_, S> {
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.sink.t_limit()
+    }
+
+    #[inline(always)]
+    fn offer(&mut self, hit: Hit) -> bool {
+        hit.t <= self.sink.t_limit() && self.filter.accept(self.ray, &hit) && self.sink.offer(hit)
+    }
+}

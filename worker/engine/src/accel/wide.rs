@@ -1,0 +1,392 @@
+//! The 8-wide tree that the CPU walks, made from the binary one.
+//!
+//! Which nodes of the binary tree become children of a wide node is chosen by dynamic programming over the surface
+//! area cost (Ylitie, Karras, Laine 2017, "Efficient incoherent ray traversal on GPUs through compressed wide BVHs",
+//! section 3). A node keeps, for each of the eight direction octants, the order in which to visit its children
+//! (Fuetterling, Lojewski, Pfreundt, Ebert 2017, "Accelerated single ray tracing for wide vector units").
+
+use bytemuck::Zeroable;
+use glam::Vec3A;
+use rayon::prelude::*;
+
+use super::bvh2::{Bvh2, Bvh2Node};
+use crate::scene::Mesh;
+
+pub(crate) const WIDTH: usize = 8;
+/// Primitives that are tested at once.
+pub(crate) const LANES: usize = 4;
+
+/// Cost of a wide node's visit, in units of one packet test.
+const NODE_COST: f32 = 1.0;
+/// A subtree of a mesh with more primitives never becomes a leaf.
+const MAX_LEAF_PRIMITIVES: u32 = 8;
+
+/// Eight boxes side by side. A slot that is not used has an inverted box, which no ray meets.
+#[repr(C, align(64))]
+#[derive(Clone, Copy, Debug, Zeroable)]
+pub(crate) struct Node {
+    /// Minima in x, y, z, then maxima in x, y, z.
+    pub bounds: [[f32; WIDTH]; 6],
+    pub children: [u32; WIDTH],
+    /// Bits `3 * octant ..` of entry `i`: the slot to put on the stack as number `i`, the farthest first. Bit `k` of
+    /// the octant is set when the ray's direction is negative on axis `k`.
+    pub order: [u32; WIDTH],
+}
+const _: () = assert!(size_of::<Node>() == 256);
+
+/// What a slot of a node refers to: another node, or a range of leaf entries (packets, or instances).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ChildRef(pub u32);
+
+impl ChildRef {
+    const LEAF: u32 = 1 << 31;
+    const COUNT_SHIFT: u32 = 27;
+    const FIRST_MASK: u32 = (1 << Self::COUNT_SHIFT) - 1;
+    pub(crate) const ROOT: Self = Self(0);
+    const UNUSED: Self = Self(u32::MAX);
+
+    /// `count` is 1 to 16; a `first` beyond 2^27 is refused by [`plan`].
+    fn leaf(first: u32, count: u32) -> Self {
+        Self(Self::LEAF | (count - 1) << Self::COUNT_SHIFT | first)
+    }
+
+    #[inline(always)]
+    pub(crate) fn is_leaf(self) -> bool {
+        self.0 & Self::LEAF != 0
+    }
+
+    #[inline(always)]
+    pub(crate) fn leaf_range(self) -> std::ops::Range<usize> {
+        let first = (self.0 & Self::FIRST_MASK) as usize;
+        first..first + (self.0 >> Self::COUNT_SHIFT & 15) as usize + 1
+    }
+}
+
+/// Four triangles or four spheres. Lanes that are not used repeat the last primitive under the number [`NO_PRIMITIVE`].
+#[repr(C, align(32))]
+#[derive(Clone, Copy, Debug, Zeroable)]
+pub(crate) struct Packet {
+    /// Triangles: row `3 * vertex + axis`. Spheres: centre x, y, z and radius in the first four rows.
+    pub rows: [[f32; LANES]; 9],
+    pub ids: [u32; LANES],
+}
+const _: () = assert!(size_of::<Packet>() == 160);
+
+pub(crate) const NO_PRIMITIVE: u32 = u32::MAX;
+
+/// A wide tree over a mesh.
+#[derive(Debug)]
+pub(crate) struct WideBvh {
+    pub nodes: Vec<Node>,
+    pub packets: Vec<Packet>,
+    /// Primitives below this number are triangles, the others spheres.
+    pub triangle_count: u32,
+}
+
+impl WideBvh {
+    pub(super) fn over_mesh(bvh2: &Bvh2, mesh: &Mesh) -> Result<Self, String> {
+        let triangle_count = mesh.triangles.len() as u32;
+        let packets_of = |primitives: &[u32]| {
+            let spheres = primitives.iter().filter(|&&p| p >= triangle_count).count();
+            spheres.div_ceil(LANES) + (primitives.len() - spheres).div_ceil(LANES)
+        };
+        let (plan, leaves) = plan(bvh2, MAX_LEAF_PRIMITIVES, |primitives| packets_of(primitives) as u32)?;
+        let mut packets = fresh(leaves.iter().map(|leaf| leaf.entries as usize).sum());
+        fill_packets(&leaves, &mut packets, bvh2, mesh);
+        Ok(Self { nodes: emit(&plan, bvh2), packets, triangle_count })
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self.nodes.as_slice()) + size_of_val(self.packets.as_slice())
+    }
+}
+
+/// The wide nodes over a tree of instances, and the instance of each leaf entry.
+pub(super) fn over_instances(bvh2: &Bvh2) -> Result<(Vec<Node>, Vec<u32>), String> {
+    // Each instance is entered for itself, which costs several node visits: leaves of one.
+    let (plan, leaves) = plan(bvh2, 1, |primitives| primitives.len() as u32)?;
+    let entries = leaves.iter().flat_map(|leaf| leaf.primitives(bvh2)).copied().collect();
+    Ok((emit(&plan, bvh2), entries))
+}
+
+#[derive(Clone, Copy)]
+struct PlannedNode {
+    /// Which binary node stands in each slot; [`NO_NODE`] for none.
+    sources: [u32; WIDTH],
+    children: [ChildRef; WIDTH],
+}
+
+const NO_NODE: u32 = u32::MAX;
+
+/// A subtree that became a leaf.
+struct Leaf {
+    /// Range in [`Bvh2::primitives`].
+    first: u32,
+    count: u32,
+    /// How many leaf entries it takes.
+    entries: u32,
+}
+
+impl Leaf {
+    fn primitives<'a>(&self, bvh2: &'a Bvh2) -> &'a [u32] {
+        &bvh2.primitives[self.first as usize..(self.first + self.count) as usize]
+    }
+}
+
+/// What the dynamic programme knows of a binary node.
+#[derive(Clone, Copy, Default)]
+struct Choice {
+    /// Cost of the cheapest forest of at most `i + 1` wide roots for this subtree.
+    costs: [f32; WIDTH - 1],
+    /// How many of `i + 1` roots go to the left child; 0: use one root fewer. Entry 0 is unused.
+    left: [u8; WIDTH],
+    is_leaf: bool,
+    first: u32,
+    count: u32,
+}
+
+/// Chooses wide nodes and leaves, in depth-first order. `entries` says how many leaf entries some primitives need.
+fn plan(bvh2: &Bvh2, max_leaf: u32, entries: impl Fn(&[u32]) -> u32) -> Result<(Vec<PlannedNode>, Vec<Leaf>), String> {
+    if bvh2.nodes.is_empty() {
+        return Ok((Vec::new(), Vec::new()));
+    }
+    let choices = choose(bvh2, max_leaf, &entries);
+    let mut nodes: Vec<PlannedNode> = Vec::with_capacity(bvh2.nodes.len() / 6 + 1);
+    let mut leaves = Vec::with_capacity(bvh2.nodes.len() / 2 + 1);
+    let mut next_entry = 0_u32;
+    // (binary node, slot that refers to it)
+    let mut pending: Vec<(u32, Option<(usize, usize)>)> = vec![(0, None)];
+    while let Some((source, from)) = pending.pop() {
+        let number = nodes.len();
+        if let Some((parent, slot)) = from {
+            nodes[parent].children[slot] = ChildRef(number as u32);
+        }
+        let mut sources = [NO_NODE; WIDTH];
+        let mut used = 0;
+        if choices[source as usize].is_leaf {
+            // Only the root of a tiny tree.
+            sources[0] = source;
+            used = 1;
+        } else {
+            distribute(bvh2, &choices, source, WIDTH, &mut |child| {
+                sources[used] = child;
+                used += 1;
+            });
+        }
+        let mut node = PlannedNode { sources, children: [ChildRef::UNUSED; WIDTH] };
+        for slot in 0..used {
+            let choice = &choices[sources[slot] as usize];
+            if choice.is_leaf {
+                let primitives = &bvh2.primitives[choice.first as usize..(choice.first + choice.count) as usize];
+                let entries = entries(primitives);
+                if next_entry + entries > ChildRef::FIRST_MASK || entries > 16 {
+                    return Err("too many primitives for one structure".into());
+                }
+                node.children[slot] = ChildRef::leaf(next_entry, entries);
+                leaves.push(Leaf { first: choice.first, count: choice.count, entries });
+                next_entry += entries;
+            }
+        }
+        nodes.push(node);
+        for slot in (0..used).rev().filter(|&slot| !choices[sources[slot] as usize].is_leaf) {
+            pending.push((sources[slot], Some((number, slot))));
+        }
+    }
+    Ok((nodes, leaves))
+}
+
+fn choose(bvh2: &Bvh2, max_leaf: u32, entries: &impl Fn(&[u32]) -> u32) -> Vec<Choice> {
+    let root = &bvh2.nodes[0];
+    let extent = (0..3).map(|k| f64::from(root.max[k]) - f64::from(root.min[k])).fold(0.0, f64::max);
+    // Areas relative to the root, so that they do not overflow.
+    let scale = if extent > 0.0 { (1.0 / extent) as f32 } else { 1.0 };
+    let area = |node: &Bvh2Node| {
+        let e = Vec3A::from_array(node.max) * scale - Vec3A::from_array(node.min) * scale;
+        e.x * e.y + e.y * e.z + e.z * e.x
+    };
+    let mut choices = vec![Choice::default(); bvh2.nodes.len()];
+    for index in (0..bvh2.nodes.len()).rev() {
+        let node = &bvh2.nodes[index];
+        let area = area(node);
+        let leaf_cost =
+            |first: u32, count: u32| area * entries(&bvh2.primitives[first as usize..(first + count) as usize]) as f32;
+        if node.is_leaf() {
+            let (first, count) = (node.right_or_first, node.count);
+            let cost = leaf_cost(first, count);
+            choices[index] = Choice { costs: [cost; 7], left: [0; 8], is_leaf: true, first, count };
+            continue;
+        }
+        let (left, right) = (&choices[index + 1], &choices[node.right_or_first as usize]);
+        let mut choice = Choice { first: left.first, count: left.count + right.count, ..Choice::default() };
+        let mut split = [0.0; WIDTH + 1];
+        for roots in 2..=WIDTH {
+            let (mut best, mut best_left) = (f32::INFINITY, 1);
+            for to_left in 1..roots {
+                let cost = left.costs[to_left - 1] + right.costs[roots - to_left - 1];
+                if cost < best {
+                    (best, best_left) = (cost, to_left);
+                }
+            }
+            split[roots] = best;
+            choice.left[roots - 1] = best_left as u8;
+        }
+        let inner_cost = split[WIDTH] + NODE_COST * area;
+        choice.costs[0] = inner_cost;
+        if choice.count <= max_leaf {
+            let cost = leaf_cost(choice.first, choice.count);
+            if cost <= inner_cost {
+                (choice.costs[0], choice.is_leaf) = (cost, true);
+            }
+        }
+        for roots in 2..WIDTH {
+            if split[roots] < choice.costs[roots - 2] {
+                choice.costs[roots - 1] = split[roots];
+            } else {
+                choice.costs[roots - 1] = choice.costs[roots - 2];
+                choice.left[roots - 1] = 0;
+            }
+        }
+        choices[index] = choice;
+    }
+    choices
+}
+
+/// The roots of the cheapest forest below inner node `node`, from left to right.
+fn distribute(bvh2: &Bvh2, choices: &[Choice], node: u32, roots: usize, found: &mut impl FnMut(u32)) {
+    let to_left = usize::from(choices[node as usize].left[roots - 1]);
+    for (child, roots) in [(node + 1, to_left), (bvh2.nodes[node as usize].right_or_first, roots - to_left)] {
+        let mut roots = roots;
+        while roots > 1 && choices[child as usize].left[roots - 1] == 0 {
+            roots -= 1;
+        }
+        if roots == 1 {
+            found(child);
+        } else {
+            distribute(bvh2, choices, child, roots, found);
+        }
+    }
+}
+
+fn emit(plan: &[PlannedNode], bvh2: &Bvh2) -> Vec<Node> {
+    let mut nodes: Vec<Node> = fresh(plan.len());
+    nodes.par_iter_mut().zip(plan).with_min_len(1024).for_each(|(node, planned)| {
+        node.bounds = [
+            [f32::INFINITY; WIDTH],
+            [f32::INFINITY; WIDTH],
+            [f32::INFINITY; WIDTH],
+            [f32::NEG_INFINITY; WIDTH],
+            [f32::NEG_INFINITY; WIDTH],
+            [f32::NEG_INFINITY; WIDTH],
+        ];
+        let mut centers = [[f32::INFINITY; 3]; WIDTH];
+        for (slot, &source) in planned.sources.iter().enumerate().filter(|(_, source)| **source != NO_NODE) {
+            let from = &bvh2.nodes[source as usize];
+            for axis in 0..3 {
+                node.bounds[axis][slot] = from.min[axis];
+                node.bounds[axis + 3][slot] = from.max[axis];
+                centers[slot][axis] = 0.5 * from.min[axis] + 0.5 * from.max[axis];
+            }
+        }
+        node.children = planned.children.map(|child| child.0);
+        node.order = visit_order(&centers);
+    });
+    nodes
+}
+
+/// For each octant the slots from the farthest to the nearest centre, as [`Node::order`] wants them.
+fn visit_order(centers: &[[f32; 3]; WIDTH]) -> [u32; WIDTH] {
+    let mut order = [0; WIDTH];
+    for octant in 0..8 {
+        let keys: [f32; WIDTH] = centers.map(|center| {
+            if center[0] == f32::INFINITY {
+                return f32::INFINITY;
+            }
+            (0..3).map(|axis| if octant >> axis & 1 == 1 { -center[axis] } else { center[axis] }).sum()
+        });
+        let mut slots: [u32; WIDTH] = std::array::from_fn(|slot| slot as u32);
+        // Insertion sort: stable, and fast for eight.
+        for end in 1..WIDTH {
+            let mut at = end;
+            while at > 0 && keys[slots[at - 1] as usize] < keys[slots[at] as usize] {
+                slots.swap(at - 1, at);
+                at -= 1;
+            }
+        }
+        for (entry, slot) in order.iter_mut().zip(slots) {
+            *entry |= slot << (3 * octant);
+        }
+    }
+    order
+}
+
+fn fill_packets(leaves: &[Leaf], packets: &mut [Packet], bvh2: &Bvh2, mesh: &Mesh) {
+    if leaves.len() > 4096 {
+        let (low, high) = leaves.split_at(leaves.len() / 2);
+        let (low_packets, high_packets) = packets.split_at_mut(low.iter().map(|leaf| leaf.entries as usize).sum());
+        rayon::join(|| fill_packets(low, low_packets, bvh2, mesh), || fill_packets(high, high_packets, bvh2, mesh));
+        return;
+    }
+    let mut rest = packets.iter_mut();
+    for leaf in leaves {
+        let primitives = leaf.primitives(bvh2);
+        for spheres in [false, true] {
+            let mut lane = 0;
+            let mut packet = None;
+            for &primitive in primitives.iter().filter(|&&p| (p as usize >= mesh.triangles.len()) == spheres) {
+                let into: &mut Packet = match packet.take() {
+                    Some(packet) if lane < LANES => packet,
+                    _ => {
+                        lane = 0;
+                        rest.next().expect("the plan counted the packets")
+                    }
+                };
+                set_lanes(into, lane, primitive, mesh);
+                lane += 1;
+                packet = Some(into);
+            }
+        }
+    }
+}
+
+/// Puts a primitive into a lane and, without its number, into all lanes behind.
+fn set_lanes(packet: &mut Packet, lane: usize, primitive: u32, mesh: &Mesh) {
+    let mut values = [0.0; 9];
+    if let Some(triangle) = mesh.triangles.get(primitive as usize) {
+        for (row, value) in triangle.iter().flat_map(|&v| mesh.positions[v as usize].to_array()).enumerate() {
+            values[row] = value;
+        }
+    } else {
+        let sphere = &mesh.spheres[primitive as usize - mesh.triangles.len()];
+        values[..3].copy_from_slice(&sphere.center.to_array());
+        values[3] = sphere.radius;
+    }
+    for (row, value) in packet.rows.iter_mut().zip(values) {
+        row[lane..].fill(value);
+    }
+    packet.ids[lane] = primitive;
+    packet.ids[lane + 1..].fill(NO_PRIMITIVE);
+}
+
+/// Zeroed elements, in huge pages where the system lends them: a walk touches memory all over the structure, and
+/// with small pages a good part of it would be address translation.
+fn fresh<T: Copy + Zeroable>(len: usize) -> Vec<T> {
+    let mut elements = Vec::with_capacity(len);
+    advise_huge_pages(&elements);
+    elements.resize(len, T::zeroed());
+    elements
+}
+
+#[cfg(target_os = "linux")]
+fn advise_huge_pages<T>(elements: &Vec<T>) {
+    const HUGE: usize = 2 << 20;
+    let start = (elements.as_ptr() as usize).next_multiple_of(HUGE);
+    let end = elements.as_ptr() as usize + elements.capacity() * size_of::<T>();
+    if start + HUGE <= end {
+        // SAFETY: the range lies inside this vector's own allocation, and the advice never changes what memory holds.
+        // Where the kernel declines, small pages serve as well.
+        unsafe { libc::madvise(start as *mut libc::c_void, (end - start) & !(HUGE - 1), libc::MADV_HUGEPAGE) };
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn advise_huge_pages<T>(_elements: &Vec<T>) {}

@@ -1,0 +1,241 @@
+//! The walk through a wide tree, for meshes and for the top level over them.
+//!
+//! The loop is single-ray: eight boxes are tested at once, the children that are met go to the stack in the node's
+//! order for the ray's octant (Fuetterling et al. 2017), and what lies behind the nearest hit so far is dropped when it
+//! is popped. It is written once over [`Isa`] and compiled for each instruction set.
+
+use std::mem::MaybeUninit;
+use std::ops::Range;
+
+use super::object_ray::{BoxRay, ObjectRay};
+use super::packet::{PacketRay, test_spheres, test_triangles};
+use super::simd::{Isa, Lanes, Portable};
+use super::{Counters, Hit};
+use crate::accel::bvh2::MAX_DEPTH;
+use crate::accel::wide::{ChildRef, Node, WIDTH, WideBvh};
+
+/// Takes hits as they are found.
+pub(crate) trait Sink {
+    /// Nothing farther is of interest.
+    fn t_limit(&self) -> f32;
+    /// A hit in the ray's interval. True: stop the walk.
+    fn offer(&mut self, hit: Hit) -> bool;
+}
+
+/// What to do at a leaf. True: stop the walk.
+pub(crate) trait LeafVisitor {
+    fn visit(&mut self, entries: Range<usize>) -> bool;
+    fn t_limit(&self) -> f32;
+}
+
+/// A node on the stack is replaced by at most eight children, so every level adds at most seven; a step writes whole
+/// vectors, of which the last may stick out.
+const STACK_SIZE: usize = (WIDTH - 1) * (MAX_DEPTH as usize + 2) + 2 * WIDTH;
+
+/// Walks `nodes` front to back. True when the visitor stopped the walk.
+///
+/// `nodes` must be a tree at most [`MAX_DEPTH`] + 1 levels deep whose references are in range, as made by
+/// [`crate::accel::wide`].
+#[inline(always)]
+fn walk<I: Isa>(
+    nodes: &[Node],
+    ray: &BoxRay<I>,
+    t_min: f32,
+    visitor: &mut impl LeafVisitor,
+    counters: &mut Counters,
+) -> bool {
+    if nodes.is_empty() {
+        return false;
+    }
+    let mut children = [const { MaybeUninit::<u32>::uninit() }; STACK_SIZE];
+    let mut distances = [const { MaybeUninit::<f32>::uninit() }; STACK_SIZE];
+    let children = children.as_mut_ptr().cast::<u32>();
+    let distances = distances.as_mut_ptr().cast::<f32>();
+    let mut size = 0;
+    let mut current = ChildRef::ROOT;
+    let t_min = I::F8::splat(t_min);
+    let mut limit = visitor.t_limit();
+    let mut limits = I::F8::splat(limit);
+    let mut visited_nodes = 0;
+    let stopped = 'walk: loop {
+        if current.is_leaf() {
+            if visitor.visit(current.leaf_range()) {
+                break true;
+            }
+            limit = visitor.t_limit();
+            limits = I::F8::splat(limit);
+        } else {
+            visited_nodes += 1;
+            // SAFETY: references in a tree are in range.
+            let node = unsafe { nodes.get_unchecked(current.0 as usize) };
+            let (near, far) = ray.slabs(node, t_min, limits);
+            // SAFETY: the tree's depth bounds the stack, see STACK_SIZE.
+            size +=
+                unsafe { I::push_children(node, ray.octant_shift, near, far, children.add(size), distances.add(size)) };
+            debug_assert!(size + WIDTH <= STACK_SIZE);
+        }
+        loop {
+            if size == 0 {
+                break 'walk false;
+            }
+            size -= 1;
+            // SAFETY: entries below the old size have been written.
+            let (child, distance) = unsafe { (*children.add(size), *distances.add(size)) };
+            if distance <= limit {
+                current = ChildRef(child);
+                break;
+            }
+        }
+    };
+    counters.box_tests += (WIDTH * visited_nodes) as u64;
+    stopped
+}
+
+/// Tests the packets of a mesh's leaves.
+struct PacketVisitor<'a, I: Isa, S> {
+    bvh: &'a WideBvh,
+    ray: PacketRay<I>,
+    instance: u32,
+    sink: &'a mut S,
+    tested: u64,
+}
+
+impl<I: Isa, S: Sink> LeafVisitor for PacketVisitor<'_, I, S> {
+    #[inline(always)]
+    fn visit(&mut self, entries: Range<usize>) -> bool {
+        self.tested += (entries.end - entries.start) as u64;
+        for entry in entries {
+            // SAFETY: leaf references of a tree are in range.
+            let packet = unsafe { self.bvh.packets.get_unchecked(entry) };
+            let stop = if packet.ids[0] < self.bvh.triangle_count {
+                test_triangles(packet, &self.ray, self.instance, self.sink)
+            } else {
+                test_spheres(packet, &self.ray, self.instance, self.sink)
+            };
+            if stop {
+                return true;
+            }
+        }
+        false
+    }
+
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.sink.t_limit()
+    }
+}
+
+#[inline(always)]
+fn walk_mesh<I: Isa, S: Sink>(
+    bvh: &WideBvh,
+    ray: &ObjectRay,
+    instance: u32,
+    sink: &mut S,
+    counters: &mut Counters,
+) -> bool {
+    let mut visitor = PacketVisitor::<I, S> { bvh, ray: PacketRay::new(ray), instance, sink, tested: 0 };
+    let stopped = walk::<I>(&bvh.nodes, &BoxRay::new(ray), ray.t_min, &mut visitor, counters);
+    counters.triangle_tests += visitor.tested * crate::accel::wide::LANES as u64;
+    stopped
+}
+
+#[inline(always)]
+fn walk_top<I: Isa>(nodes: &[Node], ray: &ObjectRay, visitor: &mut impl LeafVisitor, counters: &mut Counters) -> bool {
+    walk::<I>(nodes, &BoxRay::new(ray), ray.t_min, visitor, counters)
+}
+
+/// The instruction set that the kernels use, chosen once when a scene is put together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kernels {
+    Portable,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+}
+
+impl Kernels {
+    /// The best that this CPU can run.
+    pub fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if Self::has_avx2() {
+            return Self::Avx2;
+        }
+        Self::Portable
+    }
+
+    /// All that this CPU can run.
+    pub fn available() -> Vec<Self> {
+        let best = Self::detect();
+        if best == Self::Portable { vec![best] } else { vec![Self::Portable, best] }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn has_avx2() -> bool {
+        is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("popcnt")
+            && is_x86_feature_detected!("lzcnt")
+    }
+
+    /// Offers the sink what `ray` (in object space) hits.
+    #[inline]
+    pub(crate) fn walk_mesh<S: Sink>(
+        self,
+        bvh: &WideBvh,
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    ) -> bool {
+        match self {
+            Self::Portable => walk_mesh::<Portable, S>(bvh, ray, instance, sink, counters),
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: `Avx2` is only made after the CPU was asked.
+            Self::Avx2 => unsafe { x86::walk_mesh(bvh, ray, instance, sink, counters) },
+        }
+    }
+
+    /// Visits the leaves of a top level; a leaf's entries are positions in its tree's primitives.
+    #[inline]
+    pub(crate) fn walk_top(
+        self,
+        nodes: &[Node],
+        ray: &ObjectRay,
+        visitor: &mut impl LeafVisitor,
+        counters: &mut Counters,
+    ) -> bool {
+        match self {
+            Self::Portable => walk_top::<Portable>(nodes, ray, visitor, counters),
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: `Avx2` is only made after the CPU was asked.
+            Self::Avx2 => unsafe { x86::walk_top(nodes, ray, visitor, counters) },
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::{Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh};
+    use crate::trace::simd::Avx2;
+
+    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+    pub(super) fn walk_mesh<S: Sink>(
+        bvh: &WideBvh,
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    ) -> bool {
+        super::walk_mesh::<Avx2, S>(bvh, ray, instance, sink, counters)
+    }
+
+    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+    pub(super) fn walk_top(
+        nodes: &[Node],
+        ray: &ObjectRay,
+        visitor: &mut impl LeafVisitor,
+        counters: &mut Counters,
+    ) -> bool {
+        super::walk_top::<Avx2>(nodes, ray, visitor, counters)
+    }
+}
