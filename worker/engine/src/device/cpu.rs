@@ -128,12 +128,10 @@ fn add(stats: &mut PassStats, tally: &Tally) {
 
 /// The pass must lie within what the film covers.
 fn check_region(inner: Region, outer: Region) -> Result<(), DeviceError> {
-    let end = |start: u32, length: u32| u64::from(start) + u64::from(length);
-    let fits = inner.x >= outer.x
-        && inner.y >= outer.y
-        && end(inner.x, inner.width) <= end(outer.x, outer.width)
-        && end(inner.y, inner.height) <= end(outer.y, outer.height);
-    if fits { Ok(()) } else { Err(DeviceError::Other(format!("the pass covers {inner:?}, the film only {outer:?}"))) }
+    if outer.contains(inner) {
+        return Ok(());
+    }
+    Err(DeviceError::Other(format!("the pass covers {inner:?}, the film {outer:?}")))
 }
 
 struct Tile<T> {

@@ -60,6 +60,17 @@ impl Region {
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }
+
+    /// Whether `inner` lies within this region and has pixels.
+    pub fn contains(&self, inner: Region) -> bool {
+        let end = |start: u32, length: u32| u64::from(start) + u64::from(length);
+        inner.width > 0
+            && inner.height > 0
+            && inner.x >= self.x
+            && inner.y >= self.y
+            && end(inner.x, inner.width) <= end(self.x, self.width)
+            && end(inner.y, inner.height) <= end(self.y, self.height)
+    }
 }
 
 /// Samples `first_sample .. first_sample + samples` of every pixel in `region`.

@@ -1,7 +1,32 @@
 //! Film: sample sums, AOVs, tone mapping, PNG and EXR.
 
+mod environment;
+mod exr;
+mod part;
+mod png;
+mod tonemap;
+
+pub use environment::{EnvironmentError, read_environment};
+pub use exr::encode_exr;
+pub use part::{PartError, decode_part, encode_part, merge_aovs, merge_films};
+pub use png::encode_png;
+pub use tonemap::{ToneMap, linear_to_srgb, to_srgb8};
+
 use crate::device::Region;
 use crate::settings::Aov;
+
+/// A picture that could not be encoded.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct EncodeError(pub String);
+
+fn check_size(width: u32, height: u32, values: usize) -> Result<(), EncodeError> {
+    let expected = width as usize * height as usize;
+    if values == expected && expected > 0 {
+        return Ok(());
+    }
+    Err(EncodeError(format!("{width}x{height} pixels need {expected} values, there are {values}")))
+}
 
 /// Sums of linear radiance for a region. Sums are f64 so that splitting a job into passes does not change the picture.
 #[derive(Clone, Debug, PartialEq)]
