@@ -6,6 +6,7 @@
 //! ```
 
 pub mod config;
+pub mod dashboard;
 
 use std::net::SocketAddr;
 

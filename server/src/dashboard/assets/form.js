@@ -1,0 +1,241 @@
+// The form that submits a job. Every field carries the JSON pointer of its value: the request is built from the pointers,
+// checked by the service while one types, and what the service says about a pointer appears beside its field.
+import { element, notice, request } from './problem.js';
+
+const CHECK_AFTER_MS = 300;
+
+export function startForm() {
+  const form = document.getElementById('new-job');
+  if (!form) return;
+  let timer = null;
+  let round = 0;
+
+  const check = async () => {
+    const mine = ++round;
+    const body = readForm(form);
+    showCurl(form, body);
+    try {
+      const { tasks } = await post('/v1/jobs?validate_only=true', body);
+      if (mine === round) showVerdict(form, true, tasks === 1 ? 'Ready to submit.' : `Ready to submit: ${tasks} tasks.`, []);
+    } catch (problem) {
+      if (mine === round) showProblem(form, problem);
+    }
+  };
+  const changed = () => {
+    showWanted(form);
+    clearTimeout(timer);
+    timer = setTimeout(check, CHECK_AFTER_MS);
+  };
+
+  form.addEventListener('input', changed);
+  form.addEventListener('submit', async (event) => {
+    event.preventDefault();
+    clearTimeout(timer);
+    round++;
+    const button = form.querySelector('[type=submit]');
+    button.disabled = true;
+    try {
+      const headers = { 'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random()) };
+      const job = await post('/v1/jobs', readForm(form), headers);
+      location.assign(`/jobs/${encodeURIComponent(job.id)}`);
+    } catch (problem) {
+      showProblem(form, problem);
+      form.querySelector('[aria-invalid=true]')?.focus();
+      button.disabled = false;
+    }
+  });
+  document.getElementById('scene').addEventListener('change', () => loadCameras().then(changed));
+  startLights(form, changed);
+  startEnvironment(changed);
+  showWanted(form);
+  check();
+}
+
+function post(address, body, headers = {}) {
+  const options = { method: 'POST', headers: { 'Content-Type': 'application/json', ...headers } };
+  return request(address, { ...options, body: JSON.stringify(body) });
+}
+
+// Fields that belong to another choice are hidden, and not sent.
+function showWanted(form) {
+  for (const box of form.querySelectorAll('[data-choice]')) {
+    const choice = document.getElementById(box.dataset.choice);
+    box.hidden = !box.dataset.wanted.split(' ').includes(choice.value);
+  }
+}
+
+function readForm(form) {
+  const body = { kind: 'render' };
+  for (const box of form.querySelectorAll('[data-pointer]')) {
+    const control = box.querySelector('[data-value]');
+    if (!control || box.hidden || !box.classList.contains('field')) continue;
+    const value = valueOf(control);
+    if (value !== undefined) put(body, box.dataset.pointer.split('/').slice(1), value);
+  }
+  return body;
+}
+
+// The JSON value of a control; undefined where the default applies.
+function valueOf(control) {
+  const parts = (selector) => [...control.querySelectorAll(selector)];
+  switch (control.dataset.value) {
+    case 'number':
+      return control.value === '' ? undefined : Number(control.value);
+    case 'text':
+      return control.value.trim() || undefined;
+    case 'choice':
+      return control.value === '' || control.value.startsWith('@') ? undefined : JSON.parse(control.value);
+    case 'switch':
+      return control.checked;
+    case 'several':
+      return parts(':checked').map((box) => JSON.parse(box.value));
+    case 'vector':
+      return parts('input').map((input) => Number(input.value));
+    case 'labels':
+      return labelsOf(control.value);
+    default:
+      return undefined;
+  }
+}
+
+function labelsOf(text) {
+  const lines = text.split('\n').map((line) => line.trim()).filter(Boolean);
+  return Object.fromEntries(lines.map((line) => {
+    const at = line.indexOf('=');
+    return at < 0 ? [line, ''] : [line.slice(0, at).trim(), line.slice(at + 1).trim()];
+  }));
+}
+
+function put(target, path, value) {
+  const [key, ...rest] = path;
+  if (rest.length === 0) {
+    target[key] = value;
+    return;
+  }
+  target[key] ??= /^\d+$/.test(rest[0]) ? [] : {};
+  put(target[key], rest, value);
+}
+
+function showCurl(form, body) {
+  const text = JSON.stringify(body, null, 2).replaceAll("'", "'\\''");
+  document.getElementById('curl').textContent =
+    `curl -X POST ${form.dataset.base}/v1/jobs \\\n  -H 'Content-Type: application/json' \\\n  -d '${text}'`;
+}
+
+function showVerdict(form, good, text, others) {
+  const verdict = document.getElementById('verdict');
+  verdict.textContent = text;
+  verdict.classList.toggle('good', good);
+  verdict.classList.toggle('bad', !good);
+  document.getElementById('other-errors').replaceChildren(...others);
+  if (good) for (const box of form.querySelectorAll('.field')) setError(box, '');
+}
+
+// Every error goes to the field whose pointer is the longest beginning of its own.
+function showProblem(form, problem) {
+  const errors = new Map([...form.querySelectorAll('.field')].map((box) => [box, '']));
+  const others = [];
+  for (const { pointer, detail } of problem.errors) {
+    const box = fieldFor(form, pointer);
+    if (box) errors.set(box, errors.get(box) ? `${errors.get(box)}; ${detail}` : detail);
+    else others.push(errorItem(pointer, detail));
+  }
+  if (problem.errors.length === 0 && problem.detail) others.push(element('li', problem.detail));
+  for (const [box, text] of errors) setError(box, text);
+  showVerdict(form, false, problem.title, others);
+}
+
+function errorItem(pointer, detail) {
+  const item = element('li', '');
+  item.append(element('code', pointer), ` ${detail}`);
+  return item;
+}
+
+function fieldFor(form, pointer) {
+  let best = null;
+  for (const box of form.querySelectorAll('.field:not([hidden])')) {
+    const own = box.dataset.pointer;
+    const covers = pointer === own || pointer.startsWith(`${own}/`);
+    if (covers && (!best || own.length >= best.dataset.pointer.length)) best = box;
+  }
+  return best;
+}
+
+function setError(box, text) {
+  const place = box.querySelector('.field-error');
+  const control = box.querySelector('[data-value]');
+  if (place.textContent !== text) place.textContent = text;
+  if (text) control.setAttribute('aria-invalid', 'true');
+  else control.removeAttribute('aria-invalid');
+}
+
+// The page for the chosen scene knows its cameras.
+async function loadCameras() {
+  const scene = document.getElementById('scene').value;
+  const cameras = document.getElementById('f-settings-camera');
+  try {
+    const response = await fetch(`/jobs/new?scene=${encodeURIComponent(scene)}`, { headers: { Accept: 'text/html' } });
+    const fresh = new DOMParser().parseFromString(await response.text(), 'text/html');
+    const options = fresh.getElementById('f-settings-camera').options;
+    const kept = cameras.value.startsWith('@') ? cameras.value : '';
+    cameras.replaceChildren(...[...options].map((option) => document.importNode(option, true)));
+    cameras.value = kept;
+    history.replaceState(null, '', `/jobs/new?scene=${encodeURIComponent(scene)}`);
+  } catch {
+    cameras.value = '';
+  }
+}
+
+function startLights(form, changed) {
+  const list = document.getElementById('lights');
+  const blank = document.getElementById('blank-light');
+  const template = blank.innerHTML;
+  let next = list.querySelectorAll('[data-light]').length;
+  document.getElementById('add-light').addEventListener('click', () => {
+    const fresh = document.createElement('template');
+    fresh.innerHTML = template.replaceAll('__N__', String(next++));
+    const light = fresh.content.firstElementChild;
+    list.append(light);
+    number(list);
+    light.querySelector('select').focus();
+    changed();
+  });
+  list.addEventListener('click', (event) => {
+    if (!event.target.closest('[data-remove]')) return;
+    event.target.closest('[data-light]').remove();
+    number(list);
+    document.getElementById('add-light').focus();
+    changed();
+  });
+  number(list);
+}
+
+// Pointers count from 0 without gaps; ids only have to differ.
+function number(list) {
+  list.querySelectorAll('[data-light]').forEach((light, index) => {
+    light.querySelector('legend').textContent = `Light ${index + 1}`;
+    for (const box of light.querySelectorAll('[data-pointer]')) {
+      box.dataset.pointer = box.dataset.pointer.replace(/\/lights\/\d+\//, `/lights/${index}/`);
+    }
+  });
+}
+
+// An environment map goes to the blob store first; its hash is the setting.
+function startEnvironment(changed) {
+  const input = document.getElementById('environment-file');
+  if (!input) return;
+  input.addEventListener('change', async () => {
+    const target = document.getElementById(input.dataset.fills);
+    const alerts = document.getElementById('alerts');
+    try {
+      const { hash } = await request('/v1/blobs', { method: 'POST', body: input.files[0] });
+      target.value = hash;
+      alerts.replaceChildren();
+      changed();
+    } catch (problem) {
+      alerts.replaceChildren(notice(problem));
+    } finally {
+      input.value = '';
+    }
+  });
+}

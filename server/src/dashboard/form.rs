@@ -1,0 +1,572 @@
+//! Settings of a job as fields with labels, help and units.
+//!
+//! One description serves the form that submits a job, the page that shows a job's settings, and the test that no
+//! setting was forgotten. Each field knows the JSON pointer of the value it stands for; the script builds the request
+//! from the pointers and puts the API's complaints beside the field that they point at.
+
+use lightshaft_api::scene::Scene;
+use lightshaft_api::settings::{
+    CameraChoice, CustomCamera, Environment, EnvironmentMap, Ground, Light, LightKind, RenderSettings, Split,
+};
+use serde::Serialize;
+
+use super::filters::human_words;
+
+/// A group of fields under one heading.
+pub(super) struct Section {
+    pub(super) title: &'static str,
+    pub(super) intro: &'static str,
+    pub(super) fields: Vec<Field>,
+}
+
+pub(super) struct Field {
+    /// HTML id; unique in the form.
+    pub(super) id: String,
+    /// JSON pointer into the request body.
+    pub(super) pointer: String,
+    pub(super) label: &'static str,
+    pub(super) help: &'static str,
+    pub(super) unit: &'static str,
+    pub(super) control: Control,
+    /// Shown only while the choice field `.0` has the value `.1` (one of several, separated by spaces).
+    pub(super) only_if: Option<(String, &'static str)>,
+    /// Whether `only_if` holds now.
+    pub(super) visible: bool,
+}
+
+pub(super) enum Control {
+    /// An empty number is left out of the request: the default applies.
+    Number {
+        value: String,
+        min: &'static str,
+        max: &'static str,
+        whole: bool,
+    },
+    Text {
+        value: String,
+        placeholder: &'static str,
+    },
+    /// Values are JSON, except those that start with `@`: they choose which other fields apply and are not sent.
+    Choice {
+        options: Vec<ChoiceOption>,
+    },
+    Switch {
+        on: bool,
+    },
+    /// Any number of values; sent as an array.
+    Several {
+        options: Vec<ChoiceOption>,
+    },
+    /// Three numbers.
+    Vector {
+        values: [String; 3],
+        parts: [&'static str; 3],
+    },
+}
+
+pub(super) struct ChoiceOption {
+    pub(super) value: String,
+    pub(super) label: String,
+    pub(super) selected: bool,
+}
+
+impl Field {
+    fn new(pointer: &str, label: &'static str, unit: &'static str, help: &'static str, control: Control) -> Self {
+        let id = format!("f{}", pointer.replace('/', "-"));
+        Self { id, pointer: pointer.to_owned(), label, help, unit, control, only_if: None, visible: true }
+    }
+
+    fn when(mut self, field: &str, wanted: &'static str, current: &str) -> Self {
+        self.visible = wanted.split(' ').any(|value| value == current);
+        self.only_if = Some((format!("f{}", field.replace('/', "-")), wanted));
+        self
+    }
+
+    /// Choices that are not sent need an id that differs from the fields which are.
+    fn named(mut self, id: &str) -> Self {
+        self.id = format!("f{}", id.replace('/', "-"));
+        self
+    }
+
+    /// The value as a person reads it; `None` where a default applies.
+    pub(super) fn shown(&self) -> Option<String> {
+        let with_unit = |value: &str| match self.unit {
+            "" => value.to_owned(),
+            unit => format!("{value} {unit}"),
+        };
+        match &self.control {
+            Control::Number { value, .. } | Control::Text { value, .. } if value.is_empty() => None,
+            Control::Number { value, .. } | Control::Text { value, .. } => Some(with_unit(value)),
+            Control::Choice { options } => options.iter().find(|option| option.selected).map(|o| o.label.clone()),
+            Control::Switch { on } => Some(if *on { "yes" } else { "no" }.to_owned()),
+            Control::Several { options } => {
+                let chosen: Vec<_> = options.iter().filter(|o| o.selected).map(|o| o.label.as_str()).collect();
+                Some(if chosen.is_empty() { "none".to_owned() } else { chosen.join(", ") })
+            }
+            Control::Vector { values, .. } => Some(with_unit(&values.join(", "))),
+        }
+    }
+}
+
+fn number(value: impl ToString, min: &'static str, max: &'static str) -> Control {
+    Control::Number { value: value.to_string(), min, max, whole: false }
+}
+
+fn whole(value: impl ToString, min: &'static str, max: &'static str) -> Control {
+    Control::Number { value: value.to_string(), min, max, whole: true }
+}
+
+fn optional<T: ToString>(value: Option<T>, min: &'static str, max: &'static str) -> Control {
+    number(value.map(|value| value.to_string()).unwrap_or_default(), min, max)
+}
+
+fn vector(values: [f32; 3], parts: [&'static str; 3]) -> Control {
+    Control::Vector { values: values.map(|value| value.to_string()), parts }
+}
+
+const XYZ: [&str; 3] = ["x", "y", "z"];
+const RGB: [&str; 3] = ["red", "green", "blue"];
+
+/// Options of an enum of the API, from its own names, with a label for those whose name does not explain itself.
+fn options<T: Serialize>(current: &[T], all: &[&str], labels: &[(&str, &str)]) -> Vec<ChoiceOption> {
+    let current: Vec<_> = current.iter().map(name_of).collect();
+    all.iter()
+        .map(|name| ChoiceOption {
+            value: format!("\"{name}\""),
+            label: labels
+                .iter()
+                .find(|(known, _)| known == name)
+                .map_or_else(|| human_words(name), |(_, label)| (*label).to_owned()),
+            selected: current.iter().any(|value| value == name),
+        })
+        .collect()
+}
+
+/// The snake-case name of an enum's value, as in JSON.
+pub(super) fn name_of(value: &impl Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(name)) => name,
+        _ => String::new(),
+    }
+}
+
+/// A choice between forms of a value: `(value, label)`, of which `current` is chosen.
+fn modes(current: &str, all: &[(&str, &str)]) -> Control {
+    let option = |&(value, label): &(&str, &str)| ChoiceOption {
+        value: value.to_owned(),
+        label: label.to_owned(),
+        selected: value == current,
+    };
+    Control::Choice { options: all.iter().map(option).collect() }
+}
+
+/// All settings, in the order in which people think of them. `scene` gives the cameras to choose from.
+pub(super) fn sections(settings: &RenderSettings, scene: Option<&Scene>) -> Vec<Section> {
+    vec![
+        picture(settings),
+        camera(settings.camera.as_ref(), scene),
+        lighting(settings),
+        ground(settings.ground.as_ref()),
+        output(settings),
+        execution(settings),
+    ]
+}
+
+fn picture(s: &RenderSettings) -> Section {
+    let integrator = name_of(&s.integrator);
+    let mode = format!("\"{integrator}\"");
+    let integrators = [
+        ("path", "Path tracing"),
+        ("direct", "Direct light"),
+        ("whitted", "Whitted"),
+        ("ao", "Ambient occlusion"),
+        ("aov", "First hit only"),
+    ];
+    let names = integrators.map(|(name, _)| name);
+    let fields = vec![
+        Field::new(
+            "/settings/integrator",
+            "Integrator",
+            "",
+            "Path tracing gives full global illumination; Whitted adds mirrors to direct light.",
+            Control::Choice { options: options(&[s.integrator], &names, &integrators) },
+        ),
+        Field::new("/settings/width", "Width", "px", "", whole(s.width, "1", "16384")),
+        Field::new("/settings/height", "Height", "px", "", whole(s.height, "1", "16384")),
+        Field::new(
+            "/settings/spp",
+            "Samples per pixel",
+            "",
+            "Four times the samples halve the noise.",
+            whole(s.spp, "1", "1048576"),
+        ),
+        Field::new(
+            "/settings/max_bounces",
+            "Bounces",
+            "",
+            "Longest path after the first hit, or longest chain of mirrors.",
+            whole(s.max_bounces, "0", "64"),
+        )
+        .when("/settings/integrator", "\"path\" \"whitted\"", &mode),
+        Field::new(
+            "/settings/ao_samples",
+            "Occlusion rays",
+            "",
+            "Rays per pixel sample.",
+            whole(s.ao_samples, "1", "1024"),
+        )
+        .when("/settings/integrator", "\"ao\"", &mode),
+        Field::new(
+            "/settings/ao_distance",
+            "Occlusion reach",
+            "units",
+            "How far occluders count. Empty: a tenth of the scene's diagonal.",
+            optional(s.ao_distance, "0", ""),
+        )
+        .when("/settings/integrator", "\"ao\"", &mode),
+        Field::new(
+            "/settings/seed",
+            "Seed",
+            "",
+            "The same seed gives the same picture, on every device.",
+            whole(s.seed, "0", "4294967295"),
+        ),
+    ];
+    Section { title: "Picture", intro: "", fields }
+}
+
+fn camera(choice: Option<&CameraChoice>, scene: Option<&Scene>) -> Section {
+    let custom = match choice {
+        Some(CameraChoice::Custom(camera)) => Some(camera),
+        _ => None,
+    };
+    let cameras = scene.map(|scene| scene.summary.cameras.as_slice()).unwrap_or_default();
+    let current = match choice {
+        None => String::new(),
+        Some(CameraChoice::Index(index)) => index.to_string(),
+        Some(CameraChoice::Name(name)) => match cameras.iter().position(|camera| camera.name == *name) {
+            Some(index) => index.to_string(),
+            None => serde_json::Value::from(name.as_str()).to_string(),
+        },
+        Some(CameraChoice::Custom(camera)) if camera.half_height.is_some() => "@orthographic".to_owned(),
+        Some(CameraChoice::Custom(_)) => "@perspective".to_owned(),
+    };
+    let default = if cameras.is_empty() { "Frame the whole scene" } else { "The scene's first camera" };
+    let mut options = vec![(String::new(), default.to_owned())];
+    for (index, camera) in cameras.iter().enumerate() {
+        options.push((index.to_string(), format!("{index}: {} ({})", camera.name, camera.kind)));
+    }
+    if !options.iter().any(|(value, _)| *value == current) && custom.is_none() {
+        options.push((current.clone(), current.clone()));
+    }
+    options.push(("@perspective".to_owned(), "Another view, perspective".to_owned()));
+    options.push(("@orthographic".to_owned(), "Another view, orthographic".to_owned()));
+    let options =
+        options.into_iter().map(|(value, label)| ChoiceOption { selected: value == current, value, label }).collect();
+    let start = CustomCamera {
+        position: [0.0, 1.0, 4.0],
+        target: [0.0; 3],
+        up: [0.0, 1.0, 0.0],
+        fov_y_deg: None,
+        half_height: None,
+    };
+    let c = custom.unwrap_or(&start);
+    const OWN: &str = "@perspective @orthographic";
+    let view = "/settings/camera";
+    let fields = vec![
+        Field::new(view, "Camera", "", "", Control::Choice { options }),
+        Field::new("/settings/camera/position", "Position", "", "World units.", vector(c.position, XYZ))
+            .when(view, OWN, &current),
+        Field::new("/settings/camera/target", "Looks at", "", "", vector(c.target, XYZ)).when(view, OWN, &current),
+        Field::new("/settings/camera/up", "Up", "", "", vector(c.up, XYZ)).when(view, OWN, &current),
+        Field::new(
+            "/settings/camera/fov_y_deg",
+            "Vertical field of view",
+            "°",
+            "Empty: 40°.",
+            optional(c.fov_y_deg, "0", "180"),
+        )
+        .when(view, "@perspective", &current),
+        Field::new(
+            "/settings/camera/half_height",
+            "Half height of the view",
+            "units",
+            "",
+            number(c.half_height.unwrap_or(1.0), "0", ""),
+        )
+        .when(view, "@orthographic", &current),
+    ];
+    Section { title: "Camera", intro: "", fields }
+}
+
+fn lighting(s: &RenderSettings) -> Section {
+    let (mode, grey, color, map) = match &s.environment {
+        None => ("", 1.0, [1.0; 3], None),
+        Some(Environment::Grey(value)) => ("@grey", *value, [*value; 3], None),
+        Some(Environment::Color(color)) => ("@color", 1.0, *color, None),
+        Some(Environment::Map(map)) => ("@map", 1.0, [1.0; 3], Some(map)),
+    };
+    let start = EnvironmentMap { map: String::new(), intensity: 1.0, rotation_deg: 0.0 };
+    let map = map.unwrap_or(&start);
+    let choice = "/environment_mode";
+    let fields = vec![
+        Field::new(
+            "/settings/environment",
+            "Sky",
+            "",
+            "Automatic: a grey sky where the scene has no light, else black.",
+            modes(
+                mode,
+                &[("", "Automatic"), ("@grey", "Grey"), ("@color", "A colour"), ("@map", "A map (HDR or EXR)")],
+            ),
+        )
+        .named(choice),
+        Field::new("/settings/environment", "Radiance", "", "0 is black.", number(grey, "0", ""))
+            .when(choice, "@grey", mode),
+        Field::new("/settings/environment", "Colour of the sky", "", "Linear radiance.", vector(color, RGB))
+            .named("/settings/environment_color")
+            .when(choice, "@color", mode),
+        Field::new(
+            "/settings/environment/map",
+            "Map",
+            "",
+            "Hash of an equirectangular .hdr or .exr; choose a file to upload one.",
+            Control::Text { value: map.map.clone(), placeholder: "64 hex digits" },
+        )
+        .when(choice, "@map", mode),
+        Field::new("/settings/environment/intensity", "Brightness of the map", "×", "", number(map.intensity, "0", ""))
+            .when(choice, "@map", mode),
+        Field::new(
+            "/settings/environment/rotation_deg",
+            "Turned by",
+            "°",
+            "About the vertical axis.",
+            number(map.rotation_deg, "", ""),
+        )
+        .when(choice, "@map", mode),
+    ];
+    Section { title: "Light", intro: "Beside the scene's own lights and emitting surfaces.", fields }
+}
+
+/// Fields of the light `index` of `/settings/lights`.
+pub(super) fn light(index: &str, light: &Light) -> Vec<Field> {
+    let at = |name: &str| format!("/settings/lights/{index}/{name}");
+    let kind = at("kind");
+    let mode = format!("\"{}\"", name_of(&light.kind));
+    let kinds = options(&[light.kind], &["point", "spot", "directional"], &[("directional", "Directional (sun)")]);
+    vec![
+        Field::new(&kind, "Kind", "", "", Control::Choice { options: kinds }),
+        Field::new(&at("color"), "Colour", "", "Linear.", vector(light.color, RGB)),
+        Field::new(
+            &at("intensity"),
+            "Intensity",
+            "",
+            "Candela; lux for a directional light.",
+            number(light.intensity, "0", ""),
+        ),
+        Field::new(&at("position"), "Position", "", "", vector(light.position.unwrap_or([0.0, 2.0, 0.0]), XYZ)).when(
+            &kind,
+            "\"point\" \"spot\"",
+            &mode,
+        ),
+        Field::new(&at("direction"), "Shines to", "", "", vector(light.direction.unwrap_or([0.0, -1.0, 0.0]), XYZ))
+            .when(&kind, "\"spot\" \"directional\"", &mode),
+        Field::new(&at("range"), "Range", "units", "Empty: unlimited.", optional(light.range, "0", "")).when(
+            &kind,
+            "\"point\" \"spot\"",
+            &mode,
+        ),
+        Field::new(&at("inner_cone_deg"), "Inner cone", "°", "Half angle.", optional(light.inner_cone_deg, "0", "90"))
+            .when(&kind, "\"spot\"", &mode),
+        Field::new(&at("outer_cone_deg"), "Outer cone", "°", "Half angle.", optional(light.outer_cone_deg, "0", "90"))
+            .when(&kind, "\"spot\"", &mode),
+    ]
+}
+
+/// What a new row of the form starts from.
+pub(super) fn new_light() -> Light {
+    Light {
+        kind: LightKind::Point,
+        color: [1.0; 3],
+        intensity: 100.0,
+        position: Some([0.0, 2.0, 0.0]),
+        direction: None,
+        range: None,
+        inner_cone_deg: None,
+        outer_cone_deg: None,
+    }
+}
+
+fn ground(ground: Option<&Ground>) -> Section {
+    let mode = if ground.is_some() { "@plane" } else { "" };
+    let start = Ground::default();
+    let g = ground.unwrap_or(&start);
+    let choice = "/ground_mode";
+    let fields = vec![
+        Field::new(
+            "/settings/ground",
+            "Ground",
+            "",
+            "Something for the scene to stand on.",
+            modes(mode, &[("", "None"), ("@plane", "A plane")]),
+        )
+        .named(choice),
+        Field::new(
+            "/settings/ground/height",
+            "Height",
+            "units",
+            "Empty: the scene's lowest point.",
+            optional(g.height, "", ""),
+        )
+        .when(choice, "@plane", mode),
+        Field::new(
+            "/settings/ground/half_size",
+            "Half side length",
+            "units",
+            "Empty: 20 scene radii.",
+            optional(g.half_size, "0", ""),
+        )
+        .when(choice, "@plane", mode),
+        Field::new("/settings/ground/albedo", "Albedo", "", "Linear, 0 to 1.", vector(g.albedo, RGB))
+            .when(choice, "@plane", mode),
+        Field::new("/settings/ground/roughness", "Roughness", "", "0 to 1.", number(g.roughness, "0", "1"))
+            .when(choice, "@plane", mode),
+    ];
+    Section { title: "Ground", intro: "", fields }
+}
+
+fn output(s: &RenderSettings) -> Section {
+    let layers = [
+        "depth",
+        "position",
+        "geometric_normal",
+        "shading_normal",
+        "albedo",
+        "instance_id",
+        "primitive_id",
+        "material_id",
+        "box_tests",
+        "triangle_tests",
+    ];
+    let tone_maps = [("pbr_neutral", "Khronos PBR Neutral"), ("agx", "AgX"), ("none", "None: clamp to 0..1")];
+    let fields = vec![
+        Field::new(
+            "/settings/outputs",
+            "Files",
+            "",
+            "EXR keeps linear values.",
+            Control::Several { options: options(&s.outputs, &["png", "exr"], &[("png", "PNG"), ("exr", "EXR")]) },
+        ),
+        Field::new(
+            "/settings/tone_map",
+            "Tone mapping",
+            "",
+            "Of the PNG.",
+            Control::Choice { options: options(&[s.tone_map], &tone_maps.map(|(name, _)| name), &tone_maps) },
+        ),
+        Field::new(
+            "/settings/exposure",
+            "Exposure",
+            "stops",
+            "+1 is twice as bright.",
+            number(s.exposure, "-32", "32"),
+        ),
+        Field::new(
+            "/settings/aovs",
+            "Layers",
+            "",
+            "First-hit layers for the EXR.",
+            Control::Several { options: options(&s.aovs, &layers, &[]) },
+        ),
+    ];
+    Section { title: "Output", intro: "", fields }
+}
+
+fn execution(s: &RenderSettings) -> Section {
+    let devices = [("auto", "Automatic"), ("cpu", "CPU"), ("gpu", "GPU (wgpu)")];
+    let (split, tiles, passes) = match s.split {
+        None => ("", [2, 2], 2),
+        Some(Split::Tiles(tiles)) => ("@tiles", tiles, 2),
+        Some(Split::Passes(passes)) => ("@passes", [2, 2], passes),
+    };
+    let a = &s.acceleration;
+    let choice = "/split_mode";
+    let fields = vec![
+        Field::new(
+            "/settings/device",
+            "Device",
+            "",
+            "Automatic: a GPU where there is a real one.",
+            Control::Choice { options: options(&[s.device], &devices.map(|(name, _)| name), &devices) },
+        ),
+        Field::new(
+            "/settings/adapter",
+            "Adapter",
+            "",
+            "Part of the GPU's name. Empty: any.",
+            Control::Text { value: s.adapter.clone().unwrap_or_default(), placeholder: "any" },
+        ),
+        Field::new(
+            "/settings/acceleration/structure",
+            "Structure",
+            "",
+            "",
+            Control::Choice { options: options(&[a.structure], &["two_level"], &[("two_level", "Two-level BVH")]) },
+        ),
+        Field::new(
+            "/settings/acceleration/quality",
+            "Build quality",
+            "",
+            "High builds longer and traces faster.",
+            Control::Choice { options: options(&[a.quality], &["fast", "medium", "high"], &[]) },
+        ),
+        Field::new(
+            "/settings/acceleration/spatial_splits",
+            "Spatial splits",
+            "",
+            "Better for long, thin triangles; takes more memory.",
+            Control::Switch { on: a.spatial_splits },
+        ),
+        Field::new(
+            "/settings/time_limit_s",
+            "Time limit",
+            "s",
+            "Stops after the pass in which it passes. Empty: none.",
+            optional(s.time_limit_s, "0", ""),
+        ),
+        Field::new(
+            "/settings/split",
+            "Share among workers",
+            "",
+            "",
+            modes(split, &[("", "One task"), ("@tiles", "By tiles"), ("@passes", "By samples")]),
+        )
+        .named(choice),
+        Field::new("/settings/split/tiles/0", "Columns of tiles", "", "", whole(tiles[0], "1", "64"))
+            .when(choice, "@tiles", split),
+        Field::new("/settings/split/tiles/1", "Rows of tiles", "", "", whole(tiles[1], "1", "64"))
+            .when(choice, "@tiles", split),
+        Field::new("/settings/split/passes", "Shares", "", "Equal shares of the samples.", whole(passes, "2", "256"))
+            .when(choice, "@passes", split),
+    ];
+    Section { title: "Execution", intro: "", fields }
+}
+
+/// Settings as label and value, without those that a default decides or that do not apply.
+pub(super) fn summary(settings: &RenderSettings, scene: Option<&Scene>) -> Vec<(&'static str, Vec<(String, String)>)> {
+    let shown = |fields: &[Field]| -> Vec<(String, String)> {
+        fields
+            .iter()
+            .filter(|field| field.visible)
+            .filter_map(|field| Some((field.label.to_owned(), field.shown()?)))
+            .collect()
+    };
+    let mut groups: Vec<_> =
+        sections(settings, scene).iter().map(|section| (section.title, shown(&section.fields))).collect();
+    for (index, row) in settings.lights.iter().enumerate() {
+        let values: Vec<_> =
+            shown(&light(&index.to_string(), row)).into_iter().map(|(l, v)| format!("{l}: {v}")).collect();
+        groups[2].1.push((format!("Light {}", index + 1), values.join("; ")));
+    }
+    groups
+}

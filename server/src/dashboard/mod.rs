@@ -1,0 +1,59 @@
+//! The dashboard: pages for people, rendered on the server, brought to life by a little script of our own.
+//!
+//! The dashboard is a client of the public JSON API and of nothing else. Pages ask it in process ([`client::Api`]), so
+//! whatever a page can show a script can get too, and the access rules of the API hold for both. In the browser the
+//! script listens to the event stream, fetches the page again, and patches the regions that changed: one template is
+//! the only source of what a region looks like.
+//!
+//! | path | page |
+//! |---|---|
+//! | `/` | overview: state, running jobs, recent pictures, workers |
+//! | `/jobs`, `/jobs/{id}` | table of jobs; one job with its picture |
+//! | `/jobs/new` | form that submits a job |
+//! | `/scenes`, `/scenes/{id}` | cards and upload; one scene |
+//! | `/workers` | devices, work in progress, caches |
+//! | `/meshes/{hash}` | structures that exist for a mesh |
+//! | `/docs` | reference of the API, made from `/openapi.json` |
+//! | `/assets/{version}/{file}` | style sheet, scripts, pictures; cached for ever by version |
+//!
+//! Nothing is loaded from elsewhere and no script or style is inline, so [`CONTENT_SECURITY_POLICY`] forbids both.
+
+mod assets;
+mod client;
+mod filters;
+mod form;
+mod job;
+mod jobs;
+mod meshes;
+mod new_job;
+mod overview;
+mod page;
+mod reference;
+mod scenes;
+mod schema;
+#[cfg(test)]
+mod tests;
+mod workers;
+
+use axum::Router;
+use axum::routing::get;
+
+pub use page::{CONTENT_SECURITY_POLICY, not_found, wants_html};
+
+/// The pages. `api` is the router of the JSON API, which they ask in process; it should carry no middleware that
+/// only makes sense for requests from outside, such as compression.
+pub fn router(api: Router) -> Router {
+    Router::new()
+        .route("/", get(overview::show))
+        .route("/jobs", get(jobs::list))
+        .route("/jobs/new", get(new_job::show))
+        .route("/jobs/{id}", get(job::show))
+        .route("/scenes", get(scenes::list))
+        .route("/scenes/{id}", get(scenes::show))
+        .route("/workers", get(workers::list))
+        .route("/meshes/{hash}", get(meshes::show))
+        .route("/docs", get(reference::show))
+        .route("/assets/{version}/{file}", get(assets::serve))
+        .route("/favicon.ico", get(assets::favicon))
+        .with_state(client::ApiRouter(api))
+}

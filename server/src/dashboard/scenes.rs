@@ -1,0 +1,72 @@
+//! `/scenes` and `/scenes/{id}`: what can be rendered.
+
+use askama::Template;
+use axum::extract::{Path, Query};
+use axum::response::{IntoResponse, Response};
+use lightshaft_api::job::JobSummary;
+use lightshaft_api::page::Page as List;
+use lightshaft_api::scene::{Bounds, Scene};
+use serde::Deserialize;
+
+use super::client::{Api, escape, with_query};
+use super::filters::{self, human_number};
+use super::job::JobRow;
+use super::page::{Page, PageError};
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Cursor {
+    cursor: String,
+}
+
+#[derive(Template)]
+#[template(path = "scenes.html")]
+struct Scenes {
+    here: &'static str,
+    scenes: Vec<Scene>,
+    first: bool,
+    next: Option<String>,
+}
+
+pub(super) async fn list(api: Api, Query(query): Query<Cursor>) -> Result<Response, PageError> {
+    let scenes: List<Scene> = api.get(&with_query("/v1/scenes?limit=60", &[("cursor", &query.cursor)])).await?;
+    let page = Scenes {
+        here: "scenes",
+        first: query.cursor.is_empty(),
+        next: scenes.next_cursor.map(|cursor| with_query("/scenes", &[("cursor", &cursor)])),
+        scenes: scenes.items,
+    };
+    Ok(Page(page).into_response())
+}
+
+#[derive(Template)]
+#[template(path = "scene.html")]
+struct ScenePage {
+    here: &'static str,
+    scene: Scene,
+    jobs: Vec<JobRow>,
+}
+
+pub(super) async fn show(api: Api, Path(id): Path<String>) -> Result<Response, PageError> {
+    let scene: Scene = api.get(&format!("/v1/scenes/{}", escape(&id))).await?;
+    let jobs: List<JobSummary> = api.get(&with_query("/v1/jobs?limit=12", &[("scene", &scene.id)])).await?;
+    let page = ScenePage { here: "scenes", scene, jobs: jobs.items.into_iter().map(|job| JobRow { job }).collect() };
+    Ok(Page(page).into_response())
+}
+
+/// Extent along each axis, and the middle.
+fn extent(bounds: &Option<Bounds>) -> String {
+    match bounds {
+        None => "empty".to_owned(),
+        Some(bounds) => {
+            let [x, y, z] = std::array::from_fn(|axis| human_number(f64::from(bounds.max[axis] - bounds.min[axis])));
+            format!("{x} × {y} × {z}")
+        }
+    }
+}
+
+/// Both corners, for the title of [`extent`].
+fn corners(bounds: &Option<Bounds>) -> String {
+    let point = |[x, y, z]: [f32; 3]| format!("({x}, {y}, {z})");
+    bounds.as_ref().map_or_else(String::new, |bounds| format!("from {} to {}", point(bounds.min), point(bounds.max)))
+}

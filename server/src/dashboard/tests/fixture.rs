@@ -1,0 +1,214 @@
+//! An API with a little of everything, for pages to show. Names and errors hold characters that HTML must escape.
+
+use axum::extract::Path;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use axum::{Json, Router};
+use lightshaft_api::job::{Job, JobSummary, NewJob};
+use lightshaft_api::mesh::Mesh;
+use lightshaft_api::page::Page;
+use lightshaft_api::scene::Scene;
+use lightshaft_api::status::Status;
+use lightshaft_api::worker::Worker;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use utoipa::OpenApi;
+
+pub(crate) const HASH: &str = "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff";
+
+fn typed<T: DeserializeOwned>(value: Value) -> T {
+    serde_json::from_value(value).expect("the fixture has the shape of the API's types")
+}
+
+pub(crate) fn scene(id: &str, name: &str) -> Scene {
+    let bounds = json!({ "min": [-1.0, 0.0, -2.5], "max": [1.0, 2.0, 2.5] });
+    typed(json!({
+        "id": id, "hash": HASH, "name": name, "created_at": "2026-11-22T10:00:00Z", "bytes": 5_321_000,
+        "meshes": [
+            { "hash": HASH, "name": "body <b>", "triangles": 69_451, "spheres": 0, "instances": 64, "bounds": bounds },
+            { "hash": HASH.replace('0', "f"), "name": "", "triangles": 12, "spheres": 3, "instances": 1, "bounds": null },
+        ],
+        "instances": 65, "triangles_total": 69_463, "triangles_instanced": 4_444_876, "spheres_total": 3,
+        "materials": ["skin", "floor"], "textures": 2, "texture_pixels": 8_388_608,
+        "cameras": [{ "name": "Front", "kind": "perspective" }, { "name": "Top", "kind": "orthographic" }],
+        "lights": [{ "name": "Sun", "kind": "directional" }], "emitters": 2, "bounds": bounds,
+        "estimated_bytes": 93_000_000, "warnings": ["mesh 3 \"lines\": 12 lines are skipped"], "thumbnail": (id == "s1").then(|| format!("/v1/scenes/{id}/thumbnail.png")),
+    }))
+}
+
+/// A job in `state`; finished ones have a picture and metrics.
+pub(crate) fn job(id: &str, state: &str) -> Job {
+    let done = matches!(state, "succeeded");
+    let started = state != "queued";
+    let ended = matches!(state, "succeeded" | "failed" | "cancelled");
+    let task_state = match state {
+        "succeeded" | "cancelled" => state,
+        "failed" => "dead",
+        "running" => "leased",
+        _ => "ready",
+    };
+    let outcome = if state == "failed" { "task" } else { state };
+    let attempt = |number: u32, outcome: &str| {
+        json!({
+            "id": format!("{id}-a{number}"), "task": format!("{id}-t0"), "number": number, "worker": "w1",
+            "worker_name": "render & co", "outcome": outcome, "phase": "render", "started_at": "2026-11-22T10:00:01Z",
+            "error": (outcome != "succeeded" && outcome != "running").then_some("no triangle <i>left</i>"),
+            "finished_at": (outcome != "running").then_some("2026-11-22T10:00:13.4Z"),
+        })
+    };
+    let artifact = |name: &str, media_type: &str, bytes: u64| {
+        json!({ "name": name, "media_type": media_type, "bytes": bytes, "hash": HASH,
+            "href": format!("/v1/jobs/{id}/artifacts/{name}") })
+    };
+    typed(json!({
+        "id": id, "kind": "render", "scene": "s1", "scene_name": "64 bunnies <script>", "state": state,
+        "paused": false, "cancel_requested": false, "priority": 5,
+        "labels": { "suite": "nightly & more", "commit": "1db641f" },
+        "progress": if ended { 1.0 } else if started { 0.42 } else { 0.0 },
+        "tasks_total": 1, "tasks_done": u32::from(done),
+        "error": (state == "failed").then_some("the mesh has no triangle <i>left</i>"),
+        "created_at": "2026-11-22T10:00:00Z", "started_at": started.then_some("2026-11-22T10:00:01Z"),
+        "finished_at": ended.then_some("2026-11-22T10:00:13.4Z"), "trace_id": "4bf92f3577b34da6a3ce929d0e0e4736",
+        "max_attempts": 3,
+        "settings": { "camera": "Front", "environment": 0.5, "ground": {}, "aovs": ["depth"],
+            "lights": [{ "kind": "spot", "position": [1, 2, 3], "direction": [0, -1, 0] }] },
+        "tasks": [{ "id": format!("{id}-t0"), "index": 0, "work": { "kind": "frame" }, "state": task_state,
+            "progress": 0.42, "attempt": u32::from(started), "max_attempts": 3 }],
+        "attempts": if started { json!([attempt(1, "expired"), attempt(2, outcome)]) } else { json!([]) },
+        "artifacts": if done {
+            json!([artifact("image.png", "image/png", 412_345), artifact("image.exr", "image/x-exr", 3_912_345),
+                artifact("metrics.json", "application/json", 1830)])
+        } else { json!([]) },
+        "metrics": done.then(metrics),
+        "preview": (state == "running").then(|| format!("/v1/jobs/{id}/preview.png")),
+    }))
+}
+
+fn metrics() -> Value {
+    json!({
+        "scene_s": 0.31, "build_s": 0.82, "prepare_s": 0.05, "render_s": 10.9, "output_s": 0.12, "total_s": 12.3,
+        "rays": { "primary": 4_915_200, "shadow": 9_200_000, "ao": 0, "indirect": 12_345_678 },
+        "mrays_per_s": 2.43, "structure_bytes": 9_123_456, "line_space_bytes": 0, "peak_bytes": 312_000_000,
+        "device": "AVX2, 2 threads", "device_kind": "cpu", "spp": 16,
+        "cache": [{ "mesh": HASH, "structure": "two_level medium", "source": "built", "seconds": 0.82,
+            "bytes": 9_123_456 }],
+        "versions": { "engine": "0.1.0" }, "warnings": ["a texture is missing"],
+    })
+}
+
+pub(crate) fn worker(id: &str, state: &str) -> Worker {
+    typed(json!({
+        "id": id, "name": "render & co", "version": "0.1.0", "tags": ["rack-2"],
+        "devices": [
+            { "kind": "cpu", "name": "AVX2, 2 threads" },
+            { "kind": "gpu", "name": "llvmpipe (LLVM 19.1.7, 256 bits)", "driver": "Mesa 25.0.7", "backend": "Vulkan",
+                "device_type": "Cpu" },
+        ],
+        "state": state, "draining": state == "draining", "registered_at": "2026-11-22T09:00:00Z",
+        "last_seen_at": "2026-11-22T10:00:00Z",
+        "current": (state == "busy").then(|| json!({ "job": "j-running", "task": "t0" })), "tasks_done": 1234,
+        "cache": { "memory_bytes": 312_000_000, "memory_budget_bytes": 1_073_741_824, "disk_bytes": 734_003_200,
+            "entries": 17 },
+    }))
+}
+
+pub(crate) fn mesh() -> Mesh {
+    typed(json!({
+        "hash": HASH, "triangles": 69_451, "spheres": 0,
+        "structures": [{ "kind": "two_level", "parameters": "quality=medium", "builder_version": 1, "bytes": 9_123_456,
+            "build_s": 0.82, "blob": HASH, "workers": ["w1"] }],
+    }))
+}
+
+pub(crate) fn status(scenes: u64) -> Status {
+    typed(json!({
+        "state": "active", "version": "0.1.0", "uptime_s": 4000.0,
+        "jobs": { "queued": 3, "running": 1, "succeeded": 1204, "failed": 2, "cancelled": 0 },
+        "tasks_ready": 3, "tasks_leased": 1, "workers": { "idle": 0, "busy": 1, "draining": 0, "gone": 1 },
+        "scenes": scenes, "blob_bytes": 12_345_678_901_u64,
+    }))
+}
+
+#[derive(OpenApi)]
+#[openapi(
+    info(title = "Lightshaft", description = "Renders `glTF` scenes."),
+    components(schemas(NewJob, Job, Scene, Worker, Mesh, Status, Event, Problem))
+)]
+struct Document;
+
+use lightshaft_api::event::Event;
+use lightshaft_api::problem::Problem;
+
+fn document() -> Value {
+    let mut document: Value = typed(serde_json::to_value(Document::openapi()).expect("a document"));
+    document["paths"] = json!({
+        "/v1/jobs": { "post": { "tags": ["jobs"], "operationId": "create_job", "summary": "Submits a job.",
+            "parameters": [{ "name": "validate_only", "in": "query", "schema": { "type": "boolean" },
+                "description": "Only says what is wrong." }],
+            "requestBody": { "content": { "application/json": { "schema": { "$ref": "#/components/schemas/NewJob" } } } },
+            "responses": { "201": { "description": "The job.",
+                "content": { "application/json": { "schema": { "$ref": "#/components/schemas/Job" } } } } } } },
+        "/v1/scenes/{id}": { "get": { "tags": ["scenes"], "operationId": "get_scene", "summary": "One scene.",
+            "parameters": [{ "name": "id", "in": "path", "required": true, "schema": { "type": "string" } }],
+            "responses": { "200": { "description": "The scene." } } } },
+    });
+    document
+}
+
+const STATES: [&str; 5] = ["queued", "running", "succeeded", "failed", "cancelled"];
+
+fn unknown(what: &str, id: &str) -> Response {
+    let problem = json!({ "type": "/problems/not-found", "title": "Not found", "status": 404,
+        "detail": format!("there is no {what} {id}") });
+    let media_type = [(header::CONTENT_TYPE, "application/problem+json")];
+    (StatusCode::NOT_FOUND, media_type, problem.to_string()).into_response()
+}
+
+fn page<T>(items: Vec<T>, next: Option<&str>) -> Json<Page<T>> {
+    Json(Page { items, next_cursor: next.map(str::to_owned) })
+}
+
+/// The API. Without `scenes`, one in which nothing has happened yet.
+pub(crate) fn api(scenes: bool) -> Router {
+    let all = move || if scenes { vec![scene("s1", "64 bunnies <script>"), scene("s2", "Teapot")] } else { vec![] };
+    let jobs = move || -> Vec<JobSummary> {
+        let ids = STATES.iter().filter(|_| scenes);
+        ids.map(|state| job(&format!("j-{state}"), state).summary).collect()
+    };
+    Router::new()
+        .route("/v1/status", get(move || async move { Json(status(u64::from(scenes) * 2)) }))
+        .route("/v1/jobs", get(move || async move { page(jobs(), scenes.then_some("next/1")) }))
+        .route(
+            "/v1/jobs/{id}",
+            get(|Path(id): Path<String>| async move {
+                match STATES.iter().find(|state| id == format!("j-{state}")) {
+                    Some(state) => Json(job(&id, state)).into_response(),
+                    None => unknown("job", &id),
+                }
+            }),
+        )
+        .route("/v1/scenes", get(move || async move { page(all(), None) }))
+        .route(
+            "/v1/scenes/{id}",
+            get(|Path(id): Path<String>| async move {
+                match id.as_str() {
+                    "s1" => Json(scene("s1", "64 bunnies <script>")).into_response(),
+                    _ => unknown("scene", &id),
+                }
+            }),
+        )
+        .route(
+            "/v1/workers",
+            get(move || async move {
+                page(if scenes { vec![worker("w1", "busy"), worker("w0", "gone")] } else { vec![] }, None)
+            }),
+        )
+        .route(
+            "/v1/meshes/{hash}",
+            get(|Path(hash): Path<String>| async move {
+                if hash == HASH { Json(mesh()).into_response() } else { unknown("mesh", &hash) }
+            }),
+        )
+        .route("/openapi.json", get(|| async { Json(document()) }))
+}
