@@ -37,6 +37,15 @@ pub enum DeviceKind {
     Gpu,
 }
 
+impl DeviceKind {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+        }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Registered {
     /// Keep it on disk, and give it on the next registration.

@@ -1,0 +1,456 @@
+//! The worker's side of the lease protocol, as a state machine without IO.
+//!
+//! The driver feeds [`Input`]s with a monotonic clock and carries out the [`Effect`]s that come back; sockets, threads
+//! and wall clocks stay outside, so every edge of the protocol is a unit test. The table of status codes and reactions
+//! stands in `lightshaft_api::lease`.
+//!
+//! ```text
+//!            Registered            Leased(work)            Finished            Reported
+//! Registering ──────► Polling ────────────────► Working ───────────► Reporting ────────► Polling
+//!      ▲                 │ 404                     │ stale, expired                         ▲
+//!      └─────────────────┘                         └─► Abandoning ── Finished ──────────────┘
+//! ```
+//!
+//! Invariants: at most one task is worked on; a lease that is stale or that may have expired is never reported on; every
+//! call may be repeated, because the service answers a repeated report with the same token in the same way.
+
+use std::time::Duration;
+
+use lightshaft_api::lease::{Complete, Fail, HeartbeatReply, Lease, Release, RetryClass};
+
+#[cfg(test)]
+mod tests;
+
+/// Time since the worker started, on a clock that never goes back.
+pub type Now = Duration;
+
+const BACKOFF_FIRST: Duration = Duration::from_millis(500);
+const BACKOFF_CAP: Duration = Duration::from_secs(30);
+/// Between an empty long poll and the next: only matters when the service answers at once.
+const POLL_PAUSE: Duration = Duration::from_millis(100);
+
+/// Heartbeats come at least this often, whatever the service asks for: they carry the progress that people watch, and
+/// their answers bring the wish to cancel.
+const LIVE_PERIOD: Duration = Duration::from_millis(500);
+
+/// Numbers the leases of one process, so that a late answer about an earlier one is recognised.
+pub type Epoch = u64;
+
+/// What happened.
+#[derive(Debug)]
+pub enum Input {
+    Start,
+    Registered(Result<String, CallError>),
+    /// The long poll ended; `None` when there is no work.
+    Leased(Result<Option<Box<Lease>>, CallError>),
+    Beat(Epoch, Result<HeartbeatReply, CallError>),
+    /// The executor has returned.
+    Finished(Epoch, Outcome),
+    Reported(Epoch, Result<(), CallError>),
+    Due(Timer),
+    /// Finish the task in hand, then leave.
+    Drain,
+    /// Give the task in hand back and leave.
+    Shutdown,
+}
+
+/// How the work on a task ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    Done(Complete),
+    Failed(Fail),
+    /// It noticed that it was asked to stop.
+    Stopped,
+}
+
+/// Why a call to the service gave no good answer.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CallError {
+    /// 404: the service does not know the worker (or the lease).
+    Unknown,
+    /// 409 or 410: the lease belongs to somebody else by now.
+    Stale,
+    /// 429, 5xx, or no answer.
+    Unavailable { retry_after: Option<Duration> },
+    /// Any other status: repeating the call cannot help.
+    Refused(String),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Timer {
+    /// Repeat the call that failed.
+    Retry,
+    Heartbeat,
+    /// The lease has run out unless a heartbeat got through.
+    Expiry,
+}
+
+/// What the driver is to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Effect {
+    Register,
+    /// Long poll for work as the worker of this id.
+    Poll {
+        worker: String,
+    },
+    /// Start the executor.
+    Begin(Epoch, Box<Lease>),
+    Heartbeat(Epoch),
+    /// Ask the executor to stop; it still answers with [`Input::Finished`].
+    Stop(Epoch),
+    Report(Epoch, Report),
+    /// (Re)arms a timer.
+    Arm(Timer, Duration),
+    Disarm(Timer),
+    /// Leave; the message is an error when there is one.
+    Exit(Option<String>),
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Report {
+    Complete(Complete),
+    Fail(Fail),
+    Release(Release),
+}
+
+#[derive(Debug)]
+enum State {
+    Registering,
+    Polling,
+    Working(Work),
+    /// Work whose lease is lost: nothing is reported, only the executor's end is awaited.
+    Abandoning(Epoch),
+    Reporting {
+        work: Work,
+        report: Report,
+    },
+    Gone,
+}
+
+#[derive(Debug)]
+struct Work {
+    epoch: Epoch,
+    ttl: Duration,
+    period: Duration,
+    /// By our own clock: the last moment at which the service surely still holds the lease for us.
+    expires: Now,
+    /// When the heartbeat in flight was sent.
+    beat_sent: Option<Now>,
+    missed_beats: u32,
+    /// Asked to stop, and what is to be reported then.
+    stopping: Option<Report>,
+}
+
+/// See the module's documentation.
+#[derive(Debug)]
+pub struct Protocol {
+    state: State,
+    worker: Option<String>,
+    epoch: Epoch,
+    /// Failed calls in a row.
+    failures: u32,
+    leaving: Option<Leaving>,
+    jitter: Jitter,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Leaving {
+    WhenDone,
+    Now,
+}
+
+impl Protocol {
+    /// `seed` makes workers that lose the service at one moment come back at different ones.
+    pub fn new(seed: u64) -> Self {
+        Self { state: State::Registering, worker: None, epoch: 0, failures: 0, leaving: None, jitter: Jitter(seed) }
+    }
+
+    /// Whether a task is in hand.
+    pub fn is_busy(&self) -> bool {
+        matches!(self.state, State::Working(_) | State::Abandoning(_) | State::Reporting { .. })
+    }
+
+    pub fn step(&mut self, now: Now, input: Input) -> Vec<Effect> {
+        match input {
+            Input::Start => vec![Effect::Register],
+            Input::Registered(answer) => self.registered(answer),
+            Input::Leased(answer) => self.leased(now, answer),
+            Input::Beat(epoch, answer) => self.beat(now, epoch, answer),
+            Input::Finished(epoch, outcome) => self.finished(epoch, outcome),
+            Input::Reported(epoch, answer) => self.reported(epoch, answer),
+            Input::Due(Timer::Retry) => self.retry(),
+            Input::Due(Timer::Heartbeat) => self.heartbeat_due(now),
+            Input::Due(Timer::Expiry) => self.expiry_due(now),
+            Input::Drain => self.leave(Leaving::WhenDone),
+            Input::Shutdown => self.leave(Leaving::Now),
+        }
+    }
+
+    fn registered(&mut self, answer: Result<String, CallError>) -> Vec<Effect> {
+        if !matches!(self.state, State::Registering) {
+            return vec![];
+        }
+        match answer {
+            Ok(id) => {
+                self.worker = Some(id);
+                self.failures = 0;
+                self.poll()
+            }
+            Err(CallError::Refused(why)) => self.exit(Some(format!("the service refused this worker: {why}"))),
+            Err(error) => self.back_off(&error),
+        }
+    }
+
+    fn leased(&mut self, now: Now, answer: Result<Option<Box<Lease>>, CallError>) -> Vec<Effect> {
+        if !matches!(self.state, State::Polling) {
+            return vec![];
+        }
+        match answer {
+            Ok(None) => {
+                self.failures = 0;
+                vec![Effect::Arm(Timer::Retry, POLL_PAUSE)]
+            }
+            Ok(Some(lease)) => self.begin(now, lease),
+            Err(CallError::Unknown) => {
+                self.worker = None;
+                self.state = State::Registering;
+                vec![Effect::Register]
+            }
+            Err(CallError::Refused(why)) => self.exit(Some(format!("the service refused to lease: {why}"))),
+            Err(error) => self.back_off(&error),
+        }
+    }
+
+    fn begin(&mut self, now: Now, lease: Box<Lease>) -> Vec<Effect> {
+        self.failures = 0;
+        self.epoch += 1;
+        let ttl = Duration::from_secs(u64::from(lease.ttl_s.max(1)));
+        // A period that the service gets wrong must neither let the lease run out nor flood it.
+        let period =
+            Duration::try_from_secs_f64(lease.heartbeat_s).unwrap_or(LIVE_PERIOD).clamp(LIVE_PERIOD / 5, LIVE_PERIOD);
+        let epoch = self.epoch;
+        self.state = State::Working(Work {
+            epoch,
+            ttl,
+            period,
+            expires: now + ttl,
+            beat_sent: None,
+            missed_beats: 0,
+            stopping: None,
+        });
+        vec![Effect::Begin(epoch, lease), Effect::Arm(Timer::Heartbeat, period), Effect::Arm(Timer::Expiry, ttl)]
+    }
+
+    fn heartbeat_due(&mut self, now: Now) -> Vec<Effect> {
+        match self.work() {
+            Some(work) if work.beat_sent.is_none() => {
+                work.beat_sent = Some(now);
+                vec![Effect::Heartbeat(work.epoch)]
+            }
+            _ => vec![],
+        }
+    }
+
+    fn beat(&mut self, now: Now, epoch: Epoch, answer: Result<HeartbeatReply, CallError>) -> Vec<Effect> {
+        let jitter = self.jitter.next();
+        let Some(work) = self.work().filter(|work| work.epoch == epoch) else { return vec![] };
+        let sent = work.beat_sent.take().unwrap_or(now);
+        match answer {
+            Ok(reply) => {
+                // The service counts from when it got the heartbeat, which is after we sent it.
+                work.expires = sent + work.ttl;
+                work.missed_beats = 0;
+                let mut effects = vec![
+                    Effect::Arm(Timer::Heartbeat, work.period),
+                    Effect::Arm(Timer::Expiry, work.expires.saturating_sub(now)),
+                ];
+                if reply.cancel && work.stopping.is_none() && matches!(self.state, State::Working(_)) {
+                    effects.extend(self.stop(Report::Release(Release { cancelled: true })));
+                }
+                // `reply.drain` asks for nothing: the work goes on, and the service gives nothing more until it is undone.
+                effects
+            }
+            Err(CallError::Unavailable { retry_after }) => {
+                let wait = backoff(work.missed_beats, jitter).min(work.ttl / 3).max(retry_after.unwrap_or_default());
+                work.missed_beats += 1;
+                vec![Effect::Arm(Timer::Heartbeat, wait)]
+            }
+            Err(CallError::Stale | CallError::Unknown) => self.abandon(),
+            Err(CallError::Refused(why)) => {
+                let error = format!("the service refused a heartbeat: {why}");
+                work.stopping = None;
+                self.stop(Report::Fail(Fail { class: RetryClass::Task, error, fatal: false }))
+            }
+        }
+    }
+
+    fn expiry_due(&mut self, now: Now) -> Vec<Effect> {
+        match &self.state {
+            State::Working(work) if now >= work.expires => self.abandon(),
+            State::Working(work) => vec![Effect::Arm(Timer::Expiry, work.expires - now)],
+            // A finished task is reported for as long as it takes: its outputs are stored already, and the token decides
+            // whether they still count.
+            _ => vec![],
+        }
+    }
+
+    fn finished(&mut self, epoch: Epoch, outcome: Outcome) -> Vec<Effect> {
+        match std::mem::replace(&mut self.state, State::Gone) {
+            State::Working(work) if work.epoch == epoch => {
+                let report = match (outcome, work.stopping.clone()) {
+                    (Outcome::Done(complete), _) => Report::Complete(complete),
+                    (_, Some(report)) => report,
+                    (Outcome::Failed(fail), None) => Report::Fail(fail),
+                    // Nobody asked it to: give the task back rather than keep it.
+                    (Outcome::Stopped, None) => Report::Release(Release { cancelled: false }),
+                };
+                self.failures = 0;
+                self.state = State::Reporting { work, report: report.clone() };
+                vec![Effect::Report(epoch, report)]
+            }
+            State::Abandoning(abandoned) if abandoned == epoch => self.next(),
+            other => {
+                self.state = other;
+                vec![]
+            }
+        }
+    }
+
+    fn reported(&mut self, epoch: Epoch, answer: Result<(), CallError>) -> Vec<Effect> {
+        let State::Reporting { work, report } = &mut self.state else { return vec![] };
+        if work.epoch != epoch {
+            return vec![];
+        }
+        match answer {
+            Err(CallError::Unavailable { .. }) if self.leaving == Some(Leaving::Now) => {
+                tracing::warn!("leaving although the service did not answer; the lease will expire by itself");
+                self.next()
+            }
+            Err(error @ CallError::Unavailable { .. }) => self.back_off(&error),
+            // The service does not accept what we have: say so once, so that the task does not wait for the expiry.
+            Err(CallError::Refused(why)) if matches!(report, Report::Complete(_)) => {
+                *report = Report::Fail(Fail {
+                    class: RetryClass::Task,
+                    error: format!("the service refused the result: {why}"),
+                    fatal: false,
+                });
+                vec![Effect::Report(epoch, report.clone())]
+            }
+            Ok(()) | Err(CallError::Stale | CallError::Unknown | CallError::Refused(_)) => self.next(),
+        }
+    }
+
+    fn retry(&mut self) -> Vec<Effect> {
+        match &self.state {
+            State::Registering => vec![Effect::Register],
+            State::Polling => self.poll(),
+            State::Reporting { work, report } => vec![Effect::Report(work.epoch, report.clone())],
+            State::Working(_) | State::Abandoning(_) | State::Gone => vec![],
+        }
+    }
+
+    fn leave(&mut self, how: Leaving) -> Vec<Effect> {
+        if self.leaving != Some(Leaving::Now) {
+            self.leaving = Some(how);
+        }
+        match &self.state {
+            State::Registering | State::Polling => self.exit(None),
+            State::Working(work) if how == Leaving::Now && work.stopping.is_none() => {
+                self.stop(Report::Release(Release { cancelled: false }))
+            }
+            _ => vec![],
+        }
+    }
+
+    /// Asks the executor to stop; the lease is kept alive until it has.
+    fn stop(&mut self, report: Report) -> Vec<Effect> {
+        match self.work() {
+            Some(work) => {
+                work.stopping = Some(report);
+                vec![Effect::Stop(work.epoch)]
+            }
+            None => vec![],
+        }
+    }
+
+    /// The lease is lost: work on it is a waste, and reporting it would be wrong.
+    fn abandon(&mut self) -> Vec<Effect> {
+        let mut effects = vec![Effect::Disarm(Timer::Heartbeat), Effect::Disarm(Timer::Expiry)];
+        match std::mem::replace(&mut self.state, State::Gone) {
+            State::Working(work) => {
+                self.state = State::Abandoning(work.epoch);
+                effects.push(Effect::Stop(work.epoch));
+            }
+            // The executor has ended already; the report in flight will be answered `stale`.
+            reporting @ State::Reporting { .. } => self.state = reporting,
+            other => self.state = other,
+        }
+        effects
+    }
+
+    /// Done with a lease: on to the next, or out.
+    fn next(&mut self) -> Vec<Effect> {
+        let mut effects =
+            vec![Effect::Disarm(Timer::Heartbeat), Effect::Disarm(Timer::Expiry), Effect::Disarm(Timer::Retry)];
+        self.failures = 0;
+        effects.extend(if self.leaving.is_some() { self.exit(None) } else { self.poll() });
+        effects
+    }
+
+    fn poll(&mut self) -> Vec<Effect> {
+        match self.worker.clone() {
+            Some(worker) => {
+                self.state = State::Polling;
+                vec![Effect::Poll { worker }]
+            }
+            None => {
+                self.state = State::Registering;
+                vec![Effect::Register]
+            }
+        }
+    }
+
+    fn exit(&mut self, error: Option<String>) -> Vec<Effect> {
+        self.state = State::Gone;
+        vec![Effect::Exit(error)]
+    }
+
+    fn back_off(&mut self, error: &CallError) -> Vec<Effect> {
+        let jitter = self.jitter.next();
+        let asked = match error {
+            CallError::Unavailable { retry_after } => retry_after.unwrap_or_default(),
+            _ => Duration::ZERO,
+        };
+        let wait = backoff(self.failures, jitter).max(asked);
+        self.failures = self.failures.saturating_add(1);
+        vec![Effect::Arm(Timer::Retry, wait)]
+    }
+
+    /// The lease that is kept alive, if any.
+    fn work(&mut self) -> Option<&mut Work> {
+        match &mut self.state {
+            State::Working(work) | State::Reporting { work, .. } => Some(work),
+            _ => None,
+        }
+    }
+}
+
+/// `min(0.5 s * 2^failures, 30 s)`, less up to a half by `jitter` in 0..1.
+fn backoff(failures: u32, jitter: f64) -> Duration {
+    let full = BACKOFF_FIRST.saturating_mul(1 << failures.min(10)).min(BACKOFF_CAP);
+    full.mul_f64(1.0 - 0.5 * jitter)
+}
+
+/// SplitMix64 (Steele, Lea and Flood 2014): enough randomness to spread clients, and repeatable in tests.
+#[derive(Debug)]
+struct Jitter(u64);
+
+impl Jitter {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
