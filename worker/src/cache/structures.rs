@@ -1,0 +1,257 @@
+//! Built structures, by `(mesh hash, kind, parameters, builder version)`: in memory, on disk, in the service's store.
+//!
+//! A structure is looked for from the nearest place to the farthest, and built when nobody has it; whatever was found or
+//! built is put into the nearer places. Requests for one key at one time do the work once. Trouble with a cache is
+//! never an error of the render: it becomes a warning in its metrics, and the structure is built.
+
+use std::collections::{HashMap, HashSet};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::{Duration, Instant};
+
+use lightshaft_api::job::{CacheReport, CacheSource};
+use lightshaft_engine::accel::{BuildError, BuildParams, MeshStructure, StructureKey};
+use lightshaft_engine::scene::Mesh;
+
+use super::disk::DiskStore;
+use super::lru::Lru;
+
+/// Structures that other workers built: the service's blob store.
+pub trait StructureStore: Sync {
+    /// The encoded structure, if the store has it.
+    fn fetch(&self, key: &StructureKey) -> Result<Option<Vec<u8>>, String>;
+
+    /// Offers a structure to the others. May return before it is stored.
+    fn publish(&self, key: &StructureKey, encoded: Vec<u8>, build_s: f64);
+}
+
+#[derive(Debug)]
+pub struct StructureCache {
+    memory: Mutex<Memory>,
+    disk: Option<DiskStore>,
+    in_work: Mutex<HashSet<StructureKey>>,
+    done: Condvar,
+}
+
+#[derive(Debug)]
+struct Memory {
+    kept: Lru<StructureKey, Arc<MeshStructure>>,
+    /// Everything that somebody still traces with, evicted or not.
+    alive: HashMap<StructureKey, Weak<MeshStructure>>,
+}
+
+/// A structure, and where it came from.
+#[derive(Debug)]
+pub struct Obtained {
+    pub structure: Arc<MeshStructure>,
+    pub report: CacheReport,
+    pub warnings: Vec<String>,
+}
+
+impl StructureCache {
+    pub fn new(memory_budget_bytes: u64, disk: Option<DiskStore>) -> Self {
+        Self {
+            memory: Mutex::new(Memory { kept: Lru::new(memory_budget_bytes), alive: HashMap::new() }),
+            disk,
+            in_work: Mutex::default(),
+            done: Condvar::new(),
+        }
+    }
+
+    /// Gets the structure of `mesh`, building it when nobody has it.
+    ///
+    /// # Errors
+    /// [`BuildError::Cancelled`] once `cancel` is set, also while waiting for somebody else's build; nothing is left
+    /// behind then. Other errors are those of the builder.
+    pub fn get(
+        &self,
+        mesh: &Mesh,
+        params: &BuildParams,
+        store: Option<&dyn StructureStore>,
+        cancel: &AtomicBool,
+    ) -> Result<Obtained, BuildError> {
+        let started = Instant::now();
+        let key = params.key(mesh.hash);
+        let _turn = self.take_turn(&key, cancel)?;
+        let mut warnings = Vec::new();
+        let (structure, source) = match self.find(&key, mesh, store, &mut warnings) {
+            Some(found) => found,
+            None => (self.build(&key, mesh, params, store, cancel, &mut warnings)?, CacheSource::Built),
+        };
+        let report = CacheReport {
+            mesh: mesh.hash.to_string(),
+            structure: format!("{} {}", key.kind, key.parameters),
+            source,
+            seconds: started.elapsed().as_secs_f64(),
+            bytes: structure.bytes() as u64,
+        };
+        Ok(Obtained { structure, report, warnings })
+    }
+
+    /// Hashes of the meshes whose structures are at hand, at most `limit`.
+    pub fn warm_meshes(&self, limit: usize) -> Vec<String> {
+        let mut meshes: HashSet<String> = self.memory().kept.keys().map(|key| key.mesh.to_string()).collect();
+        if let Some(names) = self.disk.as_ref().and_then(|disk| disk.names().ok()) {
+            meshes.extend(names.iter().filter_map(|name| name.split_once('-')).map(|(mesh, _)| mesh.to_owned()));
+        }
+        meshes.into_iter().take(limit).collect()
+    }
+
+    /// What is held, for the service's page of workers.
+    pub fn status(&self) -> lightshaft_api::worker::CacheStatus {
+        let names = self.disk.as_ref().and_then(|disk| disk.names().ok()).unwrap_or_default();
+        let memory = self.memory();
+        let in_memory_only = memory.kept.keys().filter(|key| !names.contains(&file_name(key))).count();
+        lightshaft_api::worker::CacheStatus {
+            memory_bytes: memory.kept.used_bytes(),
+            memory_budget_bytes: memory.kept.budget_bytes(),
+            disk_bytes: self.disk.as_ref().map_or(0, DiskStore::used_bytes),
+            entries: (names.len() + in_memory_only) as u64,
+        }
+    }
+
+    fn find(
+        &self,
+        key: &StructureKey,
+        mesh: &Mesh,
+        store: Option<&dyn StructureStore>,
+        warnings: &mut Vec<String>,
+    ) -> Option<(Arc<MeshStructure>, CacheSource)> {
+        if let Some(structure) = self.recall(key) {
+            return Some((structure, CacheSource::Memory));
+        }
+        if let Some(structure) = self.load(key, mesh, warnings) {
+            return Some((self.remember(key, structure), CacheSource::Disk));
+        }
+        let (structure, encoded) = self.fetch(key, mesh, store?, warnings)?;
+        self.save(key, &encoded, warnings);
+        Some((self.remember(key, structure), CacheSource::Fetched))
+    }
+
+    fn load(&self, key: &StructureKey, mesh: &Mesh, warnings: &mut Vec<String>) -> Option<MeshStructure> {
+        let disk = self.disk.as_ref()?;
+        let name = file_name(key);
+        let bytes = match disk.read(&name) {
+            Ok(bytes) => bytes?,
+            Err(error) => {
+                warnings.push(format!("the cached structure of mesh {} could not be read: {error}", key.mesh));
+                return None;
+            }
+        };
+        match MeshStructure::decode(&bytes, mesh) {
+            Ok(structure) => Some(structure),
+            Err(why) => {
+                warnings.push(format!("the cached structure of mesh {} was corrupt ({why}): rebuilt", key.mesh));
+                if let Err(error) = disk.remove(&name) {
+                    warnings.push(format!("the corrupt file could not be deleted: {error}"));
+                }
+                None
+            }
+        }
+    }
+
+    fn fetch(
+        &self,
+        key: &StructureKey,
+        mesh: &Mesh,
+        store: &dyn StructureStore,
+        warnings: &mut Vec<String>,
+    ) -> Option<(MeshStructure, Vec<u8>)> {
+        match store.fetch(key) {
+            Ok(None) => None,
+            Ok(Some(encoded)) => match MeshStructure::decode(&encoded, mesh) {
+                Ok(structure) => Some((structure, encoded)),
+                Err(why) => {
+                    warnings.push(format!("the service's structure of mesh {} was corrupt ({why}): rebuilt", key.mesh));
+                    None
+                }
+            },
+            Err(error) => {
+                warnings.push(format!("the structure of mesh {} could not be fetched: {error}", key.mesh));
+                None
+            }
+        }
+    }
+
+    fn build(
+        &self,
+        key: &StructureKey,
+        mesh: &Mesh,
+        params: &BuildParams,
+        store: Option<&dyn StructureStore>,
+        cancel: &AtomicBool,
+        warnings: &mut Vec<String>,
+    ) -> Result<Arc<MeshStructure>, BuildError> {
+        let started = Instant::now();
+        let structure = MeshStructure::build(mesh, params, cancel)?;
+        let build_s = started.elapsed().as_secs_f64();
+        let encoded = (self.disk.is_some() || store.is_some()).then(|| structure.encode());
+        let structure = self.remember(key, structure);
+        if let Some(encoded) = encoded {
+            self.save(key, &encoded, warnings);
+            if let Some(store) = store {
+                store.publish(key, encoded, build_s);
+            }
+        }
+        Ok(structure)
+    }
+
+    fn save(&self, key: &StructureKey, encoded: &[u8], warnings: &mut Vec<String>) {
+        if let Some(disk) = &self.disk
+            && let Err(error) = disk.write(&file_name(key), encoded)
+        {
+            warnings.push(format!("the structure of mesh {} could not be cached on disk: {error}", key.mesh));
+        }
+    }
+
+    fn recall(&self, key: &StructureKey) -> Option<Arc<MeshStructure>> {
+        let mut memory = self.memory();
+        memory.kept.get(key).or_else(|| memory.alive.get(key).and_then(Weak::upgrade))
+    }
+
+    fn remember(&self, key: &StructureKey, structure: MeshStructure) -> Arc<MeshStructure> {
+        let structure = Arc::new(structure);
+        let mut memory = self.memory();
+        memory.alive.retain(|_, weak| weak.strong_count() > 0);
+        memory.alive.insert(key.clone(), Arc::downgrade(&structure));
+        memory.kept.insert(key.clone(), Arc::clone(&structure), structure.bytes() as u64);
+        structure
+    }
+
+    fn memory(&self) -> MutexGuard<'_, Memory> {
+        self.memory.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until nobody else works on the key.
+    fn take_turn(&self, key: &StructureKey, cancel: &AtomicBool) -> Result<Turn<'_>, BuildError> {
+        let mut in_work = self.in_work.lock().unwrap_or_else(PoisonError::into_inner);
+        while !in_work.insert(key.clone()) {
+            // Wakes now and then, since nobody notifies when `cancel` is set.
+            let waited = self.done.wait_timeout(in_work, Duration::from_millis(50));
+            in_work = waited.unwrap_or_else(PoisonError::into_inner).0;
+            if cancel.load(Ordering::Relaxed) {
+                return Err(BuildError::Cancelled);
+            }
+        }
+        Ok(Turn { cache: self, key: key.clone() })
+    }
+}
+
+/// The right to work on a key; handed on when dropped, whatever the end.
+struct Turn<'a> {
+    cache: &'a StructureCache,
+    key: StructureKey,
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.cache.in_work.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.key);
+        self.cache.done.notify_all();
+    }
+}
+
+/// `<mesh hash>-<hash of the rest of the key>`: the part before the hyphen tells which meshes are warm.
+fn file_name(key: &StructureKey) -> String {
+    let rest = format!("{}\n{}\n{}", key.kind, key.parameters, key.builder_version);
+    format!("{}-{}", key.mesh, &blake3::hash(rest.as_bytes()).to_hex()[..32])
+}
