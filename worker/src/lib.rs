@@ -1,1 +1,12 @@
-//! placeholder
+//! The worker: leases tasks from the service, renders them with the engine, and keeps what it built for the next.
+//!
+//! ```text
+//! protocol (when to call what, no IO) ◄─► driver (HTTP, timers, signals) ─► executor (one task) ─► engine
+//!                                                                              └─► cache (blobs, structures, scenes)
+//! ```
+
+pub mod cache;
+pub mod driver;
+pub mod executor;
+pub mod protocol;
+pub mod settings;

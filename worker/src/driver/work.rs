@@ -1,0 +1,192 @@
+//! One leased task, from its lease to what the protocol is told of its end.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use lightshaft_api::client::{Client, ClientError};
+use lightshaft_api::lease::{Complete, Fail, Lease, NewArtifact, RetryClass};
+use tokio::runtime::Handle;
+use tokio::sync::mpsc::UnboundedSender;
+use tracing::Instrument;
+
+use super::inputs::LeasedInputs;
+use super::live::Live;
+use crate::cache::BlobCache;
+use crate::executor::{Artifact, Executor, Outputs, TaskError};
+use crate::protocol::{Epoch, Input, Outcome};
+
+/// Between two tries to upload an artifact.
+const UPLOAD_PAUSE: Duration = Duration::from_secs(1);
+
+/// How long a task's end waits for its last log lines to arrive.
+const LOG_PATIENCE: Duration = Duration::from_secs(3);
+
+/// The task in hand, as the driver sees it.
+pub(super) struct Running {
+    pub(super) epoch: Epoch,
+    /// The fence: must not get into logs.
+    pub(super) token: String,
+    /// Carries on the trace of the job.
+    pub(super) client: Client,
+    pub(super) live: Arc<Live>,
+    pub(super) stop: Arc<AtomicBool>,
+}
+
+impl Running {
+    /// Starts the work; its end comes as [`Input::Finished`].
+    pub(super) fn start(
+        epoch: Epoch,
+        lease: Box<Lease>,
+        worker: &str,
+        client: &Client,
+        executor: &Arc<Executor>,
+        blobs: &Arc<BlobCache>,
+        sender: &UnboundedSender<Input>,
+    ) -> Self {
+        let client = client.with_traceparent(lease.traceparent.clone());
+        let live = Arc::new(Live::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let span = tracing::info_span!(
+            "task",
+            job = lease.job,
+            task = lease.task,
+            attempt = lease.attempt_number,
+            worker,
+            trace_id = lease.traceparent.split('-').nth(1).unwrap_or_default(),
+        );
+        let token = lease.token.clone();
+        let work = Work {
+            lease: Arc::from(lease),
+            client: client.clone(),
+            live: Arc::clone(&live),
+            stop: Arc::clone(&stop),
+            executor: Arc::clone(executor),
+            blobs: Arc::clone(blobs),
+        };
+        let sender = sender.clone();
+        tokio::spawn(
+            async move {
+                let outcome = work.run().await;
+                let _ = sender.send(Input::Finished(epoch, outcome));
+            }
+            .instrument(span),
+        );
+        Self { epoch, token, client, live, stop }
+    }
+}
+
+struct Work {
+    lease: Arc<Lease>,
+    client: Client,
+    live: Arc<Live>,
+    stop: Arc<AtomicBool>,
+    executor: Arc<Executor>,
+    blobs: Arc<BlobCache>,
+}
+
+impl Work {
+    async fn run(&self) -> Outcome {
+        tracing::info!(work = ?self.lease.work, "task started");
+        let beside = async {
+            tokio::join!(
+                Arc::clone(&self.live).upload_previews(self.client.clone()),
+                self.live.log.ship(&self.client, &self.lease.token),
+            )
+        };
+        let outcome = tokio::select! {
+            outcome = self.work() => outcome,
+            _ = beside => Outcome::Stopped,
+        };
+        match &outcome {
+            Outcome::Done(complete) => {
+                tracing::info!(total_s = complete.metrics.total_s, render_s = complete.metrics.render_s, "task done");
+            }
+            Outcome::Failed(fail) => {
+                self.live.log.push(format!("failed: {}", fail.error));
+                tracing::warn!(class = ?fail.class, "task failed");
+            }
+            Outcome::Stopped => tracing::info!("task stopped"),
+        }
+        let flush = self.live.log.flush(&self.client, &self.lease.token);
+        if tokio::time::timeout(LOG_PATIENCE, flush).await.is_err() {
+            tracing::warn!("the last log lines did not arrive");
+        }
+        outcome
+    }
+
+    async fn work(&self) -> Outcome {
+        let result = match self.execute().await {
+            Ok(outputs) => self.upload(outputs).await,
+            Err(error) => Err(error),
+        };
+        match result {
+            Ok(complete) => Outcome::Done(complete),
+            Err(TaskError::Stopped) => Outcome::Stopped,
+            Err(TaskError::Failed { class, fatal, message }) => Outcome::Failed(Fail { class, error: message, fatal }),
+        }
+    }
+
+    /// Renders on a thread where blocking is allowed. A panic is an error of the task like any other.
+    async fn execute(&self) -> Result<Outputs, TaskError> {
+        let inputs =
+            LeasedInputs::new(Arc::clone(&self.lease), self.client.clone(), Arc::clone(&self.blobs), Handle::current());
+        let (lease, live) = (Arc::clone(&self.lease), Arc::clone(&self.live));
+        let (executor, stop) = (Arc::clone(&self.executor), Arc::clone(&self.stop));
+        let span = tracing::Span::current();
+        let rendering = tokio::task::spawn_blocking(move || {
+            let _in_task = span.enter();
+            let run = || executor.run(&lease.work, &lease.settings, &inputs, &*live, &stop);
+            let result = std::panic::catch_unwind(AssertUnwindSafe(run));
+            (result, inputs.take_uploads())
+        });
+        let panicked = || TaskError::Failed {
+            class: RetryClass::Task,
+            fatal: false,
+            message: "internal error while rendering; the worker's log has the details".into(),
+        };
+        let Ok((result, uploads)) = rendering.await else { return Err(panicked()) };
+        let outputs = result.map_err(|_| panicked())??;
+        uploads.join_all().await;
+        Ok(outputs)
+    }
+
+    /// Outputs go to the blob store before the task is completed: a late upload harms nothing.
+    async fn upload(&self, outputs: Outputs) -> Result<Complete, TaskError> {
+        let started = std::time::Instant::now();
+        let mut artifacts = Vec::with_capacity(outputs.artifacts.len());
+        for artifact in outputs.artifacts {
+            artifacts.push(self.upload_one(artifact).await?);
+        }
+        let mut metrics = outputs.metrics;
+        let seconds = started.elapsed().as_secs_f64();
+        metrics.output_s += seconds;
+        metrics.total_s += seconds;
+        Ok(Complete { artifacts, metrics })
+    }
+
+    async fn upload_one(&self, artifact: Artifact) -> Result<NewArtifact, TaskError> {
+        let body = bytes::Bytes::from(artifact.bytes);
+        let hash = blake3::hash(&body).to_hex().to_string();
+        loop {
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(TaskError::Stopped);
+            }
+            match self.client.put_blob(&hash, body.clone()).await {
+                Ok(_) => break,
+                Err(error) if error.is_transient() => tokio::time::sleep(UPLOAD_PAUSE).await,
+                Err(ClientError::Problem(problem)) => {
+                    return Err(TaskError::transient(format!("{}: {}", artifact.name, problem.detail)));
+                }
+                Err(_) => return Err(TaskError::transient(format!("{} could not be uploaded", artifact.name))),
+            }
+        }
+        Ok(NewArtifact {
+            name: artifact.name.to_owned(),
+            media_type: artifact.media_type.to_owned(),
+            bytes: body.len() as u64,
+            blob: hash,
+        })
+    }
+}

@@ -1,0 +1,266 @@
+//! From a task's inputs to a scene on a device: the phases fetch, import, structures and prepare.
+//!
+//! The last scenes are kept under a byte budget, and the last packed scene with everything that went into it: tasks of
+//! one job, and jobs that differ in samples or seed alone, find it ready.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use lightshaft_api::job::{CacheReport, Metrics, Phase};
+use lightshaft_api::settings::{self as api, DeviceChoice};
+use lightshaft_engine::accel::{BuildError, BuildParams, MeshStructure, SceneAccel};
+use lightshaft_engine::device::DeviceError;
+use lightshaft_engine::film::read_environment;
+use lightshaft_engine::pack::{self, PackedScene};
+use lightshaft_engine::scene::{self, ImportError, ImportErrorKind, Scene};
+use lightshaft_engine::settings::{HdrImage, RenderSettings};
+use rayon::prelude::*;
+
+use super::devices::{Choice, OnDevice};
+use super::{Executor, Ready, Task, TaskError};
+use crate::cache::{Lru, Obtained};
+use crate::settings;
+
+/// Pixels of the largest environment map: 16384 x 8192.
+const MAX_MAP_PIXELS: u64 = 1 << 27;
+
+#[derive(Debug)]
+pub(super) struct Prepared {
+    scenes: Mutex<Lru<String, Arc<Scene>>>,
+    last: Mutex<Option<LastPacked>>,
+}
+
+#[derive(Debug)]
+struct LastPacked {
+    key: String,
+    packed: Arc<PackedScene>,
+    structures: Vec<CacheReport>,
+}
+
+impl Prepared {
+    pub(super) fn new(scenes_bytes: u64) -> Self {
+        Self { scenes: Mutex::new(Lru::new(scenes_bytes)), last: Mutex::new(None) }
+    }
+}
+
+impl Executor {
+    pub(super) fn prepare(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<Ready, TaskError> {
+        // Before anything is built for a device that is not there.
+        let choice = self.devices.choose(task.settings.device, task.settings.adapter.as_deref())?;
+        let scene = self.scene(task, metrics)?;
+        let map = environment_map(task, metrics)?;
+        let resolved = settings::resolve(task.settings, &scene, map)
+            .map_err(|error| TaskError::bad_input(format!("{}: {}", error.pointer, error.detail)))?;
+        let packed = self.packed(task, &scene, &resolved, metrics)?;
+        task.check_stop()?;
+
+        let started = Instant::now();
+        let (choice, on_device) = self.on_device(task, choice, &packed, &resolved, metrics)?;
+        metrics.prepare_s += started.elapsed().as_secs_f64();
+        metrics.device = on_device.info.name.clone();
+        metrics.device_kind = on_device.info.kind.to_owned();
+        if !on_device.info.driver.is_empty() {
+            metrics.versions.insert("driver".into(), on_device.info.driver.clone());
+        }
+        Ok(Ready { settings: resolved, choice, renderer: on_device.renderer })
+    }
+
+    /// The imported scene, from memory where possible.
+    fn scene(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<Arc<Scene>, TaskError> {
+        let started = Instant::now();
+        task.report(Phase::Fetch, 0.0, 0);
+        let key = task.inputs.scene_key();
+        let known = key.as_ref().and_then(|key| self.scenes().get(key));
+        let scene = match known {
+            Some(scene) => scene,
+            None => {
+                let source = task.inputs.open_scene(&self.limits)?;
+                task.check_stop()?;
+                task.report(Phase::Import, 0.02, 0);
+                let imported = scene::import(&source, &self.limits, &|| task.stopped()).map_err(import_error)?;
+                let scene = Arc::new(imported);
+                if let Some(key) = key {
+                    self.scenes().insert(key, Arc::clone(&scene), memory_bytes(&scene));
+                }
+                scene
+            }
+        };
+        for warning in &scene.warnings {
+            task.warn(metrics, warning.clone());
+        }
+        metrics.scene_s += started.elapsed().as_secs_f64();
+        task.observer.log(format!(
+            "scene: {} meshes, {} instances, {} triangles, ready after {:.3} s",
+            scene.meshes.len(),
+            scene.instances.len(),
+            scene.meshes.iter().map(|mesh| mesh.triangles.len()).sum::<usize>(),
+            metrics.scene_s,
+        ));
+        Ok(scene)
+    }
+
+    fn packed(
+        &self,
+        task: &Task<'_>,
+        scene: &Arc<Scene>,
+        resolved: &RenderSettings,
+        metrics: &mut Metrics,
+    ) -> Result<Arc<PackedScene>, TaskError> {
+        let params = settings::build_params(&task.settings.acceleration);
+        let key = packed_key(task, &params);
+        let known = key.as_ref().and_then(|key| {
+            let last = self.prepared.last.lock().unwrap_or_else(PoisonError::into_inner);
+            last.as_ref()
+                .filter(|last| last.key == *key)
+                .map(|last| (Arc::clone(&last.packed), last.structures.clone()))
+        });
+        if let Some((packed, structures)) = known {
+            metrics.structure_bytes = structure_bytes(&packed);
+            metrics.cache.extend(structures);
+            return Ok(packed);
+        }
+        // The old one goes before the new one is made, so that memory holds one at a time.
+        *self.prepared.last.lock().unwrap_or_else(PoisonError::into_inner) = None;
+
+        task.report(Phase::Structures, 0.04, 0);
+        let started = Instant::now();
+        let with_overlays = pack::with_overlays(scene, resolved);
+        let structures = self.obtain_structures(task, &with_overlays, &params, metrics)?;
+        let accel = Arc::new(SceneAccel::build(structures, &pack::placements(&with_overlays)));
+        metrics.build_s += started.elapsed().as_secs_f64();
+        task.check_stop()?;
+
+        task.report(Phase::Prepare, 0.08, 0);
+        let started = Instant::now();
+        let packed = pack::pack(&with_overlays, resolved, accel).map_err(|e| TaskError::bad_input(e.to_string()))?;
+        let packed = Arc::new(packed);
+        metrics.structure_bytes = structure_bytes(&packed);
+        metrics.prepare_s += started.elapsed().as_secs_f64();
+        if let Some(key) = key {
+            // Whoever finds it ready has every structure in memory.
+            let in_memory = |report: &CacheReport| CacheReport {
+                source: lightshaft_api::job::CacheSource::Memory,
+                seconds: 0.0,
+                ..report.clone()
+            };
+            let structures = metrics.cache.iter().map(in_memory).collect();
+            *self.prepared.last.lock().unwrap_or_else(PoisonError::into_inner) =
+                Some(LastPacked { key, packed: Arc::clone(&packed), structures });
+        }
+        Ok(packed)
+    }
+
+    /// One structure for each mesh, in the meshes' order. Meshes are worked on at once, the largest first.
+    fn obtain_structures(
+        &self,
+        task: &Task<'_>,
+        scene: &Scene,
+        params: &BuildParams,
+        metrics: &mut Metrics,
+    ) -> Result<Vec<Arc<MeshStructure>>, TaskError> {
+        let mut order: Vec<usize> = (0..scene.meshes.len()).collect();
+        order.sort_by_key(|&i| std::cmp::Reverse(scene.meshes[i].primitive_count()));
+        let store = task.inputs.structures();
+        let obtained = order
+            .par_iter()
+            .with_max_len(1)
+            .map(|&i| {
+                let obtained = self.structures.get(&scene.meshes[i], params, store, task.stop)?;
+                Ok((i, obtained))
+            })
+            .collect::<Result<Vec<(usize, Obtained)>, BuildError>>()
+            .map_err(|error| match error {
+                BuildError::Cancelled => TaskError::Stopped,
+                BuildError::Unsupported(why) => TaskError::bad_input(why),
+            })?;
+        let mut by_mesh: Vec<(usize, Obtained)> = obtained;
+        by_mesh.sort_by_key(|(i, _)| *i);
+        let mut structures = Vec::with_capacity(by_mesh.len());
+        for (_, obtained) in by_mesh {
+            for warning in obtained.warnings {
+                task.warn(metrics, warning);
+            }
+            metrics.cache.push(obtained.report);
+            structures.push(obtained.structure);
+        }
+        Ok(structures)
+    }
+
+    fn on_device(
+        &self,
+        task: &Task<'_>,
+        choice: Choice,
+        packed: &Arc<PackedScene>,
+        resolved: &RenderSettings,
+        metrics: &mut Metrics,
+    ) -> Result<(Choice, OnDevice), TaskError> {
+        match self.devices.prepare(&choice, packed, resolved) {
+            Err(error @ (DeviceError::NoAdapter(_) | DeviceError::TooLarge(_) | DeviceError::Lost(_)))
+                if task.settings.device == DeviceChoice::Auto && choice != Choice::Cpu =>
+            {
+                task.warn(metrics, format!("rendered on the CPU instead: {error}"));
+                Ok((Choice::Cpu, self.devices.prepare(&Choice::Cpu, packed, resolved)?))
+            }
+            other => Ok((choice, other?)),
+        }
+    }
+
+    fn scenes(&self) -> std::sync::MutexGuard<'_, Lru<String, Arc<Scene>>> {
+        self.prepared.scenes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn environment_map(task: &Task<'_>, metrics: &mut Metrics) -> Result<Option<Arc<HdrImage>>, TaskError> {
+    let Some(api::Environment::Map(choice)) = &task.settings.environment else { return Ok(None) };
+    let started = Instant::now();
+    let bytes = task.inputs.environment_map(&choice.map)?;
+    let image = read_environment(&bytes, MAX_MAP_PIXELS)
+        .map_err(|error| TaskError::bad_input(format!("/settings/environment/map: {error}")))?;
+    metrics.scene_s += started.elapsed().as_secs_f64();
+    Ok(Some(Arc::new(image)))
+}
+
+/// Names everything that goes into a packed scene. Samples, seed and outputs do not.
+fn packed_key(task: &Task<'_>, params: &BuildParams) -> Option<String> {
+    let scene = task.inputs.scene_key()?;
+    let s = task.settings;
+    let parts = (&s.camera, s.width, s.height, &s.environment, &s.lights, &s.ground);
+    Some(format!("{scene} {params:?} {parts:?}"))
+}
+
+fn structure_bytes(packed: &PackedScene) -> u64 {
+    let meshes: usize = packed.accel.structures().iter().map(|structure| structure.bytes()).sum();
+    (meshes + packed.accel.top_bytes()) as u64
+}
+
+fn import_error(error: ImportError) -> TaskError {
+    match error.kind {
+        ImportErrorKind::Cancelled => TaskError::Stopped,
+        ImportErrorKind::Io => TaskError::worker(error.to_string()),
+        ImportErrorKind::Malformed
+        | ImportErrorKind::Unsupported
+        | ImportErrorKind::MissingFile
+        | ImportErrorKind::Limit => TaskError::bad_input(error.to_string()),
+    }
+}
+
+/// Bytes that an imported scene takes, roughly: geometry and images outweigh the rest.
+fn memory_bytes(scene: &Scene) -> u64 {
+    let meshes: usize = scene
+        .meshes
+        .iter()
+        .map(|m| {
+            size_of_val(&m.positions[..])
+                + size_of_val(&m.triangles[..])
+                + size_of_val(&m.triangle_slots[..])
+                + size_of_val(&m.normals[..])
+                + size_of_val(&m.tangents[..])
+                + size_of_val(&m.uv0[..])
+                + size_of_val(&m.uv1[..])
+                + size_of_val(&m.colors[..])
+                + size_of_val(&m.spheres[..])
+        })
+        .sum();
+    let images: usize = scene.images.iter().map(|image| image.rgba8.len()).sum();
+    (meshes + images + size_of_val(&scene.instances[..]) + size_of_val(&scene.materials[..])) as u64
+}
