@@ -19,6 +19,8 @@ mod topology;
 mod transform;
 mod warnings;
 
+#[cfg(test)]
+pub(super) use primitive::face_normal;
 
 use std::borrow::Cow;
 use std::path::Path;

@@ -305,7 +305,7 @@ impl Part {
 
 /// The unit normal by the winding; `None` for a triangle without area. In double precision, so that no tiny or long
 /// thin triangle is mistaken for an empty one.
-pub(super) fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
+pub(in crate::scene) fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
     let [a, b, c] = triangle.map(|vertex| positions[vertex as usize].as_dvec3());
     let cross: DVec3 = (b - a).cross(c - a);
     let length = cross.length();
