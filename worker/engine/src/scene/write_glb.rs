@@ -218,7 +218,9 @@ impl GlbWriter {
             let normals = self.vertices(geometry.normals.iter().map(|normal| normal.to_array()));
             attributes.insert("NORMAL".into(), json!(normals));
         }
-        if !geometry.uvs.is_empty() {
+        // Without a texture nobody reads them.
+        let is_textured = self.materials[material]["pbrMetallicRoughness"].get("baseColorTexture").is_some();
+        if is_textured && !geometry.uvs.is_empty() {
             attributes.insert("TEXCOORD_0".into(), json!(self.vertices(geometry.uvs.iter().copied())));
         }
         if !geometry.colors.is_empty() {
