@@ -4,7 +4,7 @@
 //! ray's seed, the instance and the primitive, never the order in which candidates are found, so every structure and
 //! device decides alike. Each ray of a path has a seed of its own: what the camera ray saw says nothing about shadows.
 
-use super::math::transform_point;
+use super::math::transform_vector;
 use super::sampler::{hash_combine, unit_float};
 use super::surface::{base_color, hit_point, material_index, sphere_direction};
 use crate::accel::HitFilter;
@@ -38,8 +38,7 @@ pub fn alpha_accepts(scene: &PackedScene, seed: u32, ray: &Ray, hit: &Hit) -> bo
     if hit.primitive >= mesh.triangle_count {
         // A ray meets a sphere twice, and each wall decides for itself.
         let n = sphere_direction(scene, instance, hit.primitive, ray, hit.t);
-        let ahead = transform_point(&instance.world_to_object, ray.origin + ray.direction)
-            - transform_point(&instance.world_to_object, ray.origin);
+        let ahead = transform_vector(&instance.world_to_object, ray.direction);
         key = hash_combine(key, u32::from(n.dot(ahead) > 0.0));
     }
     unit_float(key) < alpha

@@ -9,9 +9,11 @@ pub const PI: f32 = std::f32::consts::PI;
 pub const TWO_PI: f32 = 2.0 * PI;
 pub const INV_PI: f32 = std::f32::consts::FRAC_1_PI;
 
-/// Relative bound on the rounding error of a hit point, `2^-19`: 32 units in the last place cover the interpolation,
-/// the instance transform, and the transform of the next ray back into object space.
-pub const POSITION_ERROR: f32 = 1.0 / 524_288.0;
+/// Rounding error of a hit point and of the next ray's intersection with the same primitive, relative to the
+/// primitive's extent around its object's origin: 16 half units in the last place.
+pub const LOCAL_ERROR: f32 = 1.0 / 1_048_576.0;
+/// The same relative to the distance from the world's origin, where only additions round: 4 half units.
+pub const WORLD_ERROR: f32 = 1.0 / 4_194_304.0;
 
 /// Rec. 709 luminance of a linear colour.
 pub fn luminance(c: Vec3) -> f32 {
@@ -45,13 +47,17 @@ pub fn transform_normal(inverse_rows: &[[f32; 4]; 3], n: Vec3) -> Vec3 {
     )
 }
 
-/// The magnitudes that went into `transform_point`: what its rounding error is proportional to.
-pub fn transform_magnitude(rows: &[[f32; 4]; 3], p: Vec3) -> Vec3 {
-    Vec3::new(
-        rows[0][0].abs() * p.x + rows[0][1].abs() * p.y + rows[0][2].abs() * p.z + rows[0][3].abs(),
-        rows[1][0].abs() * p.x + rows[1][1].abs() * p.y + rows[1][2].abs() * p.z + rows[1][3].abs(),
-        rows[2][0].abs() * p.x + rows[2][1].abs() * p.y + rows[2][2].abs() * p.z + rows[2][3].abs(),
-    )
+/// Bound on how far a ray that leaves a primitive must start from it, in world units. `extent` is the largest absolute
+/// object-space coordinate on each axis of the primitive. One number for all directions: the error of an intersection
+/// is proportional to the whole primitive, also where it is axis-aligned.
+pub fn surface_error(rows: &[[f32; 4]; 3], extent: Vec3, position: Vec3) -> f32 {
+    let x = rows[0][0].abs() * extent.x + rows[0][1].abs() * extent.y + rows[0][2].abs() * extent.z;
+    let y = rows[1][0].abs() * extent.x + rows[1][1].abs() * extent.y + rows[1][2].abs() * extent.z;
+    let z = rows[2][0].abs() * extent.x + rows[2][1].abs() * extent.y + rows[2][2].abs() * extent.z;
+    let world = (rows[0][3].abs() + position.x.abs())
+        .max(rows[1][3].abs() + position.y.abs())
+        .max(rows[2][3].abs() + position.z.abs());
+    x.max(y).max(z) * LOCAL_ERROR + world * WORLD_ERROR
 }
 
 /// `v` as a unit vector, or `fallback` where it has no direction.
@@ -79,13 +85,12 @@ pub fn to_world(tangent: Vec3, bitangent: Vec3, normal: Vec3, v: Vec3) -> Vec3 {
     tangent * v.x + bitangent * v.y + normal * v.z
 }
 
-/// Moves a ray's origin off the surface it starts on, to the side that `direction` leaves to, by the bound on the
-/// position's error. Keeps a ray from hitting its own surface without the fixed epsilons that fail at other scales
-/// (Waechter and Binder 2019, "A Fast and Robust Method for Avoiding Self-Intersection"; the bound in place of their
-/// fixed number of ulps also holds for instances far from the origin, as in pbrt, section 6.8.6).
-pub fn offset_origin(position: Vec3, error: Vec3, normal: Vec3, direction: Vec3) -> Vec3 {
-    let distance = normal.x.abs() * error.x + normal.y.abs() * error.y + normal.z.abs() * error.z;
-    if direction.dot(normal) >= 0.0 { position + normal * distance } else { position - normal * distance }
+/// Moves a ray's origin off the surface it starts on by `error` ([`surface_error`]), to the side that `direction` leaves
+/// to: so a ray does not meet its own surface, at any scale and distance from the origin, which fixed epsilons get
+/// wrong (Waechter and Binder 2019, "A Fast and Robust Method for Avoiding Self-Intersection"; a bound on the rounding
+/// error stands in place of their fixed number of ulps, as in Pharr, Jakob and Humphreys 2023, section 6.8).
+pub fn offset_origin(position: Vec3, error: f32, normal: Vec3, direction: Vec3) -> Vec3 {
+    if direction.dot(normal) >= 0.0 { position + normal * error } else { position - normal * error }
 }
 
 /// Weight of a sample with density `a` against another technique's `b` (power heuristic, Veach 1997, section 9.2.4).
@@ -147,10 +152,10 @@ mod tests {
     #[test]
     fn offset_clears_the_error_on_the_side_of_the_direction() {
         let n = Vec3::new(0.0, 0.6, -0.8);
-        let e = Vec3::splat(1e-3);
+        let e = 1e-3;
         let p = Vec3::new(5.0, 6.0, 7.0);
-        assert!((offset_origin(p, e, n, n) - p).dot(n) >= 1e-3);
-        assert!((offset_origin(p, e, n, -n) - p).dot(n) <= -1e-3);
+        assert!((offset_origin(p, e, n, n) - p).dot(n) >= 0.999e-3);
+        assert!((offset_origin(p, e, n, -n) - p).dot(n) <= -0.999e-3);
     }
 
     #[test]

@@ -18,6 +18,9 @@ pub mod surface;
 pub mod texture;
 pub mod whitted;
 
+#[cfg(test)]
+pub(crate) mod tests;
+
 use glam::Vec3;
 
 use crate::device::RayCounts;

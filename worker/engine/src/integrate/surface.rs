@@ -5,9 +5,7 @@
 
 use glam::Vec3;
 
-use super::math::{
-    POSITION_ERROR, basis, normalize_or, transform_magnitude, transform_normal, transform_point, transform_vector,
-};
+use super::math::{basis, normalize_or, surface_error, transform_normal, transform_point, transform_vector};
 use super::texture::sample_texture;
 use crate::pack::{INSTANCE_MIRRORED, NONE, PackedInstance, PackedMaterial, PackedMesh, PackedScene};
 use crate::trace::{Hit, Ray};
@@ -20,8 +18,8 @@ pub const MIN_VIEW_COSINE: f32 = 0.01;
 pub struct SurfacePoint {
     /// World space.
     pub position: Vec3,
-    /// Bound on the error of each coordinate of `position`.
-    pub error: Vec3,
+    /// How far off the surface a ray that leaves it starts ([`surface_error`]).
+    pub error: f32,
     /// Unit, outwards (the side that glTF calls front).
     pub geometric_normal: Vec3,
     /// Interpolated unit normal, outwards.
@@ -40,7 +38,7 @@ pub struct SurfacePoint {
 #[derive(Clone, Copy, Debug)]
 pub struct Surface {
     pub position: Vec3,
-    pub error: Vec3,
+    pub error: f32,
     /// Unit, on the viewer's side.
     pub geometric_normal: Vec3,
     /// Unit, with the normal map, on the viewer's side, at least [`MIN_VIEW_COSINE`] towards the viewer.
@@ -105,8 +103,7 @@ pub fn triangle_point(scene: &PackedScene, instance: u32, primitive: u32, u: f32
     let b = [1.0 - u - v, u, v];
     let p = p0 * b[0] + p1 * b[1] + p2 * b[2];
     let position = transform_point(&inst.object_to_world, p);
-    let magnitude = p0.abs().max(p1.abs()).max(p2.abs());
-    let error = (transform_magnitude(&inst.object_to_world, magnitude) + position.abs()) * POSITION_ERROR;
+    let error = surface_error(&inst.object_to_world, p0.abs().max(p1.abs()).max(p2.abs()), position);
     let face = (p1 - p0).cross(p2 - p0);
     let geometric_normal = normalize_or(transform_normal(&inst.world_to_object, face), Vec3::Y);
 
@@ -147,8 +144,7 @@ pub fn sphere_point(scene: &PackedScene, instance: u32, primitive: u32, n: Vec3)
     let [x, y, z, radius] = scene.spheres[(mesh.sphere_offset + primitive - mesh.triangle_count) as usize];
     let center = Vec3::new(x, y, z);
     let position = transform_point(&inst.object_to_world, center + n * radius);
-    let magnitude = center.abs() + Vec3::splat(radius);
-    let error = (transform_magnitude(&inst.object_to_world, magnitude) + position.abs()) * POSITION_ERROR;
+    let error = surface_error(&inst.object_to_world, center.abs() + Vec3::splat(radius), position);
     let normal = normalize_or(transform_normal(&inst.world_to_object, n), Vec3::Y);
     let uv = [0.5 + n.x.atan2(n.z) * (0.5 * super::math::INV_PI), n.y.clamp(-1.0, 1.0).acos() * super::math::INV_PI];
     let east = normalize_or(Vec3::new(n.z, 0.0, -n.x), Vec3::X);
@@ -167,11 +163,13 @@ pub fn sphere_point(scene: &PackedScene, instance: u32, primitive: u32, n: Vec3)
     }
 }
 
-/// Object-space unit direction from a sphere's centre to the ray's point at `t`.
+/// Object-space unit direction from a sphere's centre to the ray's point at `t`. The instance's translation comes off
+/// before the inverse is applied, as in traversal: so nothing is lost far from the world's origin.
 pub fn sphere_direction(scene: &PackedScene, inst: &PackedInstance, primitive: u32, ray: &Ray, t: f32) -> Vec3 {
     let mesh = &scene.meshes[inst.mesh as usize];
     let [x, y, z, _] = scene.spheres[(mesh.sphere_offset + primitive - mesh.triangle_count) as usize];
-    let origin = transform_point(&inst.world_to_object, ray.origin);
+    let m = &inst.object_to_world;
+    let origin = transform_vector(&inst.world_to_object, ray.origin - Vec3::new(m[0][3], m[1][3], m[2][3]));
     let direction = transform_vector(&inst.world_to_object, ray.direction);
     normalize_or(origin + direction * t - Vec3::new(x, y, z), Vec3::Y)
 }

@@ -56,24 +56,23 @@ pub(super) fn pack_environment(environment: &Environment) -> Result<PackedMap, P
 /// The inclusive cumulative probabilities of the rows, then of the texels in each row; and the mean radiance.
 fn tables(texels: &[[f32; 4]], width: usize, height: usize) -> (Vec<f32>, Vec3) {
     let sine = |row: usize| (std::f64::consts::PI * (row as f64 + 0.5) / height as f64).sin();
-    let weight = |t: &[f32; 4]| f64::from(luminance(Vec3::new(t[0], t[1], t[2])));
+    let weights = bilinear_luminance(texels, width, height);
     let (mut total, mut area, mut mean) = (0.0, 0.0, [0.0f64; 3]);
-    for (row, line) in texels.chunks_exact(width).enumerate() {
-        for t in line {
-            total += weight(t) * sine(row);
-            area += sine(row);
-            (0..3).for_each(|c| mean[c] += f64::from(t[c]) * sine(row));
-        }
+    for (i, t) in texels.iter().enumerate() {
+        let sine = sine(i / width);
+        total += weights[i] * sine;
+        area += sine;
+        (0..3).for_each(|c| mean[c] += f64::from(t[c]) * sine);
     }
     let floor = if total > 0.0 { UNIFORM_SHARE / (1.0 - UNIFORM_SHARE) * total / area } else { 1.0 };
     let mut rows = Vec::with_capacity(height);
     let mut columns = Vec::with_capacity(width * height);
     let mut row_sum = 0.0;
-    for (row, line) in texels.chunks_exact(width).enumerate() {
-        let line_total: f64 = line.iter().map(|t| weight(t) + floor).sum();
+    for (row, line) in weights.chunks_exact(width).enumerate() {
+        let line_total: f64 = line.iter().map(|weight| weight + floor).sum();
         let mut sum = 0.0;
-        for t in line {
-            sum += weight(t) + floor;
+        for weight in line {
+            sum += weight + floor;
             columns.push((sum / line_total) as f32);
         }
         row_sum += line_total * sine(row);
@@ -86,4 +85,23 @@ fn tables(texels: &[[f32; 4]], width: usize, height: usize) -> (Vec<f32>, Vec3) 
     cdf[height - 1] = 1.0;
     cdf.append(&mut columns);
     (cdf, Vec3::from_array(mean.map(|c| (c / area) as f32)))
+}
+
+/// Luminance of the bilinear look-up averaged over each texel: 6/8 of its own and 1/8 of each neighbour's, along both
+/// axes. So the density follows what is looked up, also around a single bright texel.
+fn bilinear_luminance(texels: &[[f32; 4]], width: usize, height: usize) -> Vec<f64> {
+    let own: Vec<f64> = texels.iter().map(|t| f64::from(luminance(Vec3::new(t[0], t[1], t[2])))).collect();
+    let across: Vec<f64> = (0..own.len())
+        .map(|i| {
+            let (row, x) = (i / width * width, i % width);
+            0.125 * (own[row + (x + width - 1) % width] + own[row + (x + 1) % width]) + 0.75 * own[i]
+        })
+        .collect();
+    (0..own.len())
+        .map(|i| {
+            let (y, x) = (i / width, i % width);
+            let (above, below) = (y.saturating_sub(1), (y + 1).min(height - 1));
+            0.125 * (across[above * width + x] + across[below * width + x]) + 0.75 * across[i]
+        })
+        .collect()
 }

@@ -2,7 +2,6 @@
 
 use glam::{Affine3A, Mat3A};
 
-use super::overlay::scene_bounds;
 use super::{
     INSTANCE_ALPHA, INSTANCE_MIRRORED, INSTANCE_SIMILARITY, NONE, PackError, PackedInstance, PackedMesh, index,
 };
@@ -30,7 +29,7 @@ pub(super) fn pack_geometry(scene: &Scene) -> Result<Geometry, PackError> {
         spheres: Vec::new(),
         attributes: Vec::new(),
         instance_materials: Vec::new(),
-        bounds: scene_bounds(scene),
+        bounds: Aabb::EMPTY,
     };
     for mesh in &scene.meshes {
         pack_mesh(mesh, &mut out)?;
@@ -39,6 +38,7 @@ pub(super) fn pack_geometry(scene: &Scene) -> Result<Geometry, PackError> {
         let packed = pack_instance(scene, number, instance, &mut out.instance_materials)?;
         out.instances.push(packed);
     }
+    out.bounds = scene.world_bounds();
     index("vertices", out.positions.len())?;
     index("primitives", out.slots.len())?;
     index("vertex attribute values", out.attributes.len())?;

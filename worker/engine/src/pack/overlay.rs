@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 use crate::accel::Placement;
-use crate::scene::{Aabb, AlphaMode, Instance, Material, Mesh, MeshHash, Scene};
+use crate::scene::{Aabb, AlphaMode, Instance, Material, Mesh, MeshHash, Scene, mesh_hash};
 use crate::settings::{Ground, RenderSettings};
 
 /// The scene with the job's ground plane in it. Call this before structures are looked up: the ground is a mesh like
@@ -30,29 +30,12 @@ pub fn placements(scene: &Scene) -> Vec<Placement> {
         .collect()
 }
 
-/// World bounds of all instances.
-pub(super) fn scene_bounds(scene: &Scene) -> Aabb {
-    let mut bounds = Aabb::EMPTY;
-    for instance in &scene.instances {
-        let Some(mesh) = scene.meshes.get(instance.mesh as usize) else { continue };
-        if mesh.bounds.is_empty() {
-            continue;
-        }
-        for corner in 0..8 {
-            let pick =
-                |axis: usize| if corner >> axis & 1 == 0 { mesh.bounds.min[axis] } else { mesh.bounds.max[axis] };
-            bounds.grow(instance.transform.transform_point3(Vec3::new(pick(0), pick(1), pick(2))));
-        }
-    }
-    bounds
-}
-
 /// How far below the scene's lowest point the ground lies when its height is not given, in scene radii: enough that it
 /// does not coincide with the undersides that stand on it.
 const GROUND_GAP: f32 = 1e-4;
 
 fn add_ground(scene: &mut Scene, ground: &Ground) {
-    let bounds = scene_bounds(scene);
+    let bounds = scene.world_bounds();
     let (center, radius) =
         if bounds.is_empty() { (Vec3::ZERO, 1.0) } else { (bounds.center(), 0.5 * bounds.extent().length()) };
     let radius = if radius > 0.0 { radius } else { 1.0 };
@@ -89,8 +72,8 @@ fn add_ground(scene: &mut Scene, ground: &Ground) {
 
 /// The square from (-1, 0, -1) to (1, 0, 1), facing up.
 fn ground_mesh() -> Mesh {
-    Mesh {
-        hash: MeshHash(*blake3::hash(b"lightshaft: ground square, corners at +-1, two triangles").as_bytes()),
+    let mut mesh = Mesh {
+        hash: MeshHash([0; 32]),
         name: "ground".into(),
         positions: vec![
             Vec3::new(-1.0, 0.0, -1.0),
@@ -108,5 +91,7 @@ fn ground_mesh() -> Mesh {
         spheres: Vec::new(),
         slots: 1,
         bounds: Aabb { min: Vec3::new(-1.0, 0.0, -1.0), max: Vec3::new(1.0, 0.0, 1.0) },
-    }
+    };
+    mesh.hash = mesh_hash(&mesh);
+    mesh
 }
