@@ -28,7 +28,7 @@ struct Overview {
 pub(super) async fn show(api: Api, headers: HeaderMap) -> Result<Response, PageError> {
     let status: Status = api.get("/v1/status").await?;
     let running = JobCard::of_list(&api, "/v1/jobs?state=running&limit=12").await?;
-    let recent = JobCard::of_list(&api, "/v1/jobs?state=succeeded&limit=18").await?;
+    let recent = JobCard::of_list(&api, "/v1/jobs?state=succeeded&automatic=false&limit=18").await?;
     let workers: List<Worker> = api.get("/v1/workers").await?;
     let page = Overview {
         here: "overview",

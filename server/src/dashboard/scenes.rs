@@ -49,7 +49,8 @@ struct ScenePage {
 
 pub(super) async fn show(api: Api, Path(id): Path<String>) -> Result<Response, PageError> {
     let scene: Scene = api.get(&format!("/v1/scenes/{}", escape(&id))).await?;
-    let jobs: List<JobSummary> = api.get(&with_query("/v1/jobs?limit=12", &[("scene", &scene.id)])).await?;
+    let jobs: List<JobSummary> =
+        api.get(&with_query("/v1/jobs?automatic=false&limit=12", &[("scene", &scene.id)])).await?;
     let page = ScenePage { here: "scenes", scene, jobs: jobs.items.into_iter().map(|job| JobRow { job }).collect() };
     Ok(Page(page).into_response())
 }

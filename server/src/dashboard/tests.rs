@@ -15,6 +15,7 @@ use super::assets::Assets;
 use super::client::{escape, with_query};
 use super::filters::{human_ago, human_bytes, human_count, human_number, human_seconds, human_short, prose_html};
 use super::form::{self, Control, Field};
+use super::jobs::Filter;
 use super::page::CONTENT_SECURITY_POLICY;
 use super::router;
 
@@ -295,6 +296,19 @@ fn fields_have_unique_ids_and_follow_their_choice() {
     let visible = |pointer: &str| fields.iter().any(|field| field.pointer == pointer && field.visible);
     assert!(visible("/settings/ao_samples") && !visible("/settings/max_bounces"));
     assert!(visible("/settings/split/passes") && !visible("/settings/split/tiles/0"));
+}
+
+#[test]
+fn filters_of_the_table_become_a_query_of_the_api() {
+    let query = |uri: &str| {
+        let uri = uri.parse().expect("an address");
+        axum::extract::Query::<Filter>::try_from_uri(&uri).expect("filters").0.api_url()
+    };
+    assert_eq!(query("/jobs"), "/v1/jobs?limit=50&automatic=false");
+    assert_eq!(
+        query("/jobs?q=&state=failed&scene=s1&label=a%20b%3Dc%3Dd&automatic=true&cursor=x%2Fy"),
+        "/v1/jobs?limit=50&state=failed&scene=s1&label.a%20b=c%3Dd&cursor=x%2Fy"
+    );
 }
 
 #[tokio::test]

@@ -1,4 +1,4 @@
-// Buttons that make one request (cancel, retry, drain, delete), and buttons that copy.
+// Buttons that make one request (cancel, pause, retry, drain, delete), and buttons that copy.
 import { notice, request } from './problem.js';
 import { refresh } from './live.js';
 
@@ -16,13 +16,14 @@ export function startActions() {
 }
 
 async function perform(form) {
-  const { action, method, then, confirm: question } = form.dataset;
+  const { action, method, body, then, confirm: question } = form.dataset;
   if (question && !confirm(question)) return;
   const button = form.querySelector('button');
   const alerts = document.getElementById('alerts');
   button.disabled = true;
   try {
-    await request(action, { method });
+    const headers = body ? { 'Content-Type': 'application/json' } : {};
+    await request(action, { method, headers, body });
     alerts.replaceChildren();
     if (then) location.assign(then);
     else await refresh();

@@ -117,7 +117,9 @@ function put(target, path, value) {
 }
 
 function showCurl(form, body) {
-  const text = JSON.stringify(body, null, 2).replaceAll("'", "'\\''");
+  const oneLine = (list) => list.replace(/\s+/g, ' ');
+  const json = JSON.stringify(body, null, 2).replace(/\[[-\d.e+,\s]+\]/g, oneLine); // lists of numbers
+  const text = json.replaceAll("'", "'\\''");
   document.getElementById('curl').textContent =
     `curl -X POST ${form.dataset.base}/v1/jobs \\\n  -H 'Content-Type: application/json' \\\n  -d '${text}'`;
 }
