@@ -150,6 +150,8 @@ mod tests {
             "lightshaft scene upload a.glb",
             "lightshaft scene list",
             "lightshaft scene show s",
+            "lightshaft scene generate demo -o demo.glb",
+            "lightshaft scene generate pile --seed 3 --count 10",
             "lightshaft scene validate a.glb",
             "lightshaft scene delete s",
             "lightshaft job submit s --setting width=64 --wait --output out",

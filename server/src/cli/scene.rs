@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use lightshaft_api::client::{Client, ScenePart, Upload};
 use lightshaft_api::scene::{Bounds, CameraSummary, LightSummary, MeshSummary, Scene, SceneSummary};
-use lightshaft_engine::scene::{self as engine, Limits, Source};
+use lightshaft_engine::scene::{self as engine, KINDS, Limits, Params, Source};
 use percent_encoding::percent_decode_str;
 use serde_json::{Value, json};
 
@@ -28,14 +29,36 @@ pub(crate) enum Command {
     },
     /// Show one scene.
     Show { scene: String },
+    /// Write one of the built-in scenes as .glb.
+    Generate(GenerateArgs),
     /// Import a file here and say what is in it, or what is wrong with it.
     Validate { file: PathBuf },
     /// Delete a scene of the service.
     Delete { scene: String },
 }
 
+#[derive(Debug, clap::Args)]
+pub(crate) struct GenerateArgs {
+    /// What to make.
+    #[arg(value_parser = PossibleValuesParser::new(KINDS.iter().map(|kind| PossibleValue::new(kind.name).help(kind.help))))]
+    kind: String,
+    /// File to write. [default: KIND.glb]
+    #[arg(short, long, value_name = "FILE.glb")]
+    output: Option<PathBuf>,
+    /// Another seed, another scene of the same kind.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Triangles, roughly; for the kinds that come in several sizes.
+    #[arg(long)]
+    triangles: Option<u32>,
+    /// Objects; for the kinds that place many.
+    #[arg(long)]
+    count: Option<u32>,
+}
+
 pub(crate) fn run(command: Command, global: &Global) -> Result<()> {
     match command {
+        Command::Generate(args) => generate(&args, global),
         Command::Validate { file } => validate(&file, global),
         Command::Upload { file, name } => block_on(async {
             let (scene, created) = upload(&global.client()?, &file, name.as_deref()).await?;
@@ -123,6 +146,17 @@ async fn list(global: &Global, limit: u32) -> Result<()> {
         ]);
     }
     table.print()
+}
+
+fn generate(args: &GenerateArgs, global: &Global) -> Result<()> {
+    let params = Params { seed: args.seed, triangles: args.triangles, count: args.count };
+    let glb = engine::generate(&args.kind, &params).map_err(|error| CliError::usage(error.to_string()))?;
+    let path = args.output.clone().unwrap_or_else(|| PathBuf::from(format!("{}.glb", args.kind)));
+    std::fs::write(&path, &glb).map_err(|error| CliError::usage(format!("{}: {error}", path.display())))?;
+    if global.json {
+        return output::print_json(&json!({ "kind": args.kind, "file": path, "bytes": glb.len() }));
+    }
+    output::print(&format!("{} ({})\n", path.display(), output::bytes(glb.len() as u64)))
 }
 
 fn validate(file: &Path, global: &Global) -> Result<()> {

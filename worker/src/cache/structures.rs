@@ -16,6 +16,9 @@ use lightshaft_engine::scene::Mesh;
 use super::disk::DiskStore;
 use super::lru::Lru;
 
+#[cfg(test)]
+mod tests;
+
 /// Structures that other workers built: the service's blob store.
 pub trait StructureStore: Sync {
     /// The encoded structure, if the store has it.

@@ -58,6 +58,9 @@ pub(super) fn name(work: &TaskWork) -> String {
 /// Puts tiles side by side and adds passes up, in the order of their samples, so that the picture does not depend on
 /// which worker was first.
 pub(super) fn merge(full: Region, mut parts: Vec<(TaskWork, Part)>) -> Result<Part, TaskError> {
+    if parts.is_empty() {
+        return Err(TaskError::bad_input("there are no parts to merge"));
+    }
     parts.sort_by_key(|(work, part)| match work {
         TaskWork::Pass { first_sample, .. } => (*first_sample, 0, 0),
         TaskWork::Frame | TaskWork::Tile { .. } | TaskWork::Merge => (0, part.film.region.y, part.film.region.x),
