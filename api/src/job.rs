@@ -411,6 +411,17 @@ pub enum CacheSource {
     Fetched,
 }
 
+impl CacheSource {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Built => "built",
+            Self::Memory => "memory",
+            Self::Disk => "disk",
+            Self::Fetched => "fetched",
+        }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CacheReport {
     pub mesh: String,

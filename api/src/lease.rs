@@ -159,6 +159,19 @@ pub enum RetryClass {
     Deferred,
 }
 
+impl RetryClass {
+    /// How an attempt that failed this way is noted.
+    pub fn outcome(self) -> AttemptOutcome {
+        match self {
+            Self::Worker => AttemptOutcome::Worker,
+            Self::Task => AttemptOutcome::Task,
+            Self::Transient => AttemptOutcome::Transient,
+            Self::Interrupted => AttemptOutcome::Interrupted,
+            Self::Deferred => AttemptOutcome::Deferred,
+        }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Fail {

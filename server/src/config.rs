@@ -35,6 +35,8 @@ pub struct Limits {
     pub blob_bytes: u64,
     /// Scenes imported at the same time; further uploads wait their turn.
     pub concurrent_imports: usize,
+    /// What one scene may hold: triangles, texture pixels, instances and so on.
+    pub import: lightshaft_engine::scene::Limits,
     /// Longest pause between two pieces of an upload.
     pub upload_stall: Duration,
 }
@@ -61,6 +63,7 @@ impl Default for Limits {
             scene_files: 4096,
             blob_bytes: 4 << 30,
             concurrent_imports: 2,
+            import: lightshaft_engine::scene::Limits::default(),
             upload_stall: Duration::from_secs(30),
         }
     }

@@ -1,0 +1,256 @@
+//! Jobs: what people ask for.
+
+use std::collections::BTreeMap;
+
+use lightshaft_api::job::{Job, JobPatch, JobSummary, NewJob, RESERVED_LABEL_PREFIX, TaskState, ValidatedJob};
+use lightshaft_api::problem::FieldError;
+use lightshaft_api::scene::Scene;
+use lightshaft_api::settings::{CameraChoice, Environment, Integrator, Output, RenderSettings};
+use uuid::Uuid;
+
+use super::App;
+use crate::error::{ApiError, ApiResult};
+use crate::problems::Code;
+use crate::queue::plan;
+use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, PageRequest};
+use crate::web::context;
+
+const DEFAULT_MAX_ATTEMPTS: u32 = 3;
+/// Idempotency keys are kept this long.
+pub const KEY_LIFETIME_MS: i64 = 24 * 3_600_000;
+/// The label of the automatic job that renders a scene's thumbnail; its value is `true`.
+pub const THUMBNAIL_LABEL: &str = "lightshaft.thumbnail";
+
+/// A job, and whether this call made it.
+#[derive(Clone, Debug)]
+pub struct Created {
+    pub job: Job,
+    pub is_new: bool,
+}
+
+impl App {
+    pub async fn create_job(&self, new: &NewJob, key: Option<&str>) -> ApiResult<Created> {
+        self.check_running()?;
+        let idempotency = key.map(|key| self.idempotency(key, new)).transpose()?;
+        // A repeated request is answered before anything is checked: the scene may be gone by now.
+        if let Some(idempotency) = &idempotency
+            && let Some(creation) = self.store.repeated_job(idempotency).await?
+        {
+            return self.created(creation, "").await;
+        }
+        self.check_job(new).await?;
+        let record = JobRecord {
+            id: Uuid::now_v7().to_string(),
+            scene: new.scene.clone(),
+            priority: new.priority,
+            max_attempts: new.max_attempts.unwrap_or(DEFAULT_MAX_ATTEMPTS),
+            labels: new.labels.clone(),
+            settings: new.settings.clone(),
+            tasks: plan(&new.settings),
+            trace_id: context::trace_id(),
+            automatic: false,
+        };
+        let creation = self.store.create_job(&record, idempotency.as_ref(), self.now()).await?;
+        self.created(creation, &record.id).await
+    }
+
+    async fn created(&self, creation: Creation, id: &str) -> ApiResult<Created> {
+        match creation {
+            Creation::Created => {
+                tracing::info!(job.id = %id, "job created");
+                self.changed();
+                Ok(Created { job: self.job(id).await?, is_new: true })
+            }
+            Creation::Repeated(id) => Ok(Created { job: self.job(&id).await?, is_new: false }),
+            Creation::KeyReused => Err(ApiError::new(
+                Code::IdempotencyKeyReused,
+                "this Idempotency-Key was used within 24 hours for another job",
+            )),
+            Creation::UnknownScene => Err(ApiError::fields(vec![FieldError::new("/scene", "there is no such scene")])),
+        }
+    }
+
+    pub async fn validate_job(&self, new: &NewJob) -> ApiResult<ValidatedJob> {
+        self.check_job(new).await?;
+        let job = NewJob { max_attempts: new.max_attempts.or(Some(DEFAULT_MAX_ATTEMPTS)), ..new.clone() };
+        Ok(ValidatedJob { tasks: plan(&new.settings).len() as u32, job })
+    }
+
+    /// Renders a small picture of a new scene, when nothing else is to do.
+    pub(super) async fn create_thumbnail_job(&self, scene: &Scene) -> ApiResult<()> {
+        let is_lit = !scene.summary.lights.is_empty() || scene.summary.emitters > 0;
+        let settings = RenderSettings {
+            integrator: Integrator::Path,
+            width: 320,
+            height: 240,
+            spp: 32,
+            max_bounces: 3,
+            environment: (!is_lit).then_some(Environment::Grey(1.0)),
+            outputs: vec![Output::Png],
+            ..RenderSettings::default()
+        };
+        let record = JobRecord {
+            id: Uuid::now_v7().to_string(),
+            scene: scene.id.clone(),
+            priority: -50,
+            max_attempts: DEFAULT_MAX_ATTEMPTS,
+            labels: BTreeMap::from([(THUMBNAIL_LABEL.to_owned(), "true".to_owned())]),
+            tasks: plan(&settings),
+            settings,
+            trace_id: context::trace_id(),
+            automatic: true,
+        };
+        if self.store.create_job(&record, None, self.now()).await? == Creation::Created {
+            self.store.set_thumbnail_job(&scene.id, &record.id).await?;
+            self.changed();
+        }
+        Ok(())
+    }
+
+    pub async fn job(&self, id: &str) -> ApiResult<Job> {
+        let mut job = self.store.job(id).await?.ok_or_else(|| ApiError::not_found("job", id))?;
+        for task in job.tasks.iter_mut().filter(|task| task.state == TaskState::Leased) {
+            if let Some(live) = self.live.task(&task.id) {
+                task.progress = live.progress;
+                if let Some(attempt) = job.attempts.iter_mut().rfind(|attempt| attempt.task == task.id) {
+                    attempt.phase = Some(live.phase);
+                }
+            }
+        }
+        job.preview = self.live.preview_of(id).map(|_| format!("/v1/jobs/{id}/preview.png"));
+        self.add_live_progress(&mut job.summary);
+        Ok(job)
+    }
+
+    pub async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> ApiResult<Vec<JobSummary>> {
+        let mut jobs = self.store.jobs(query, page).await?;
+        jobs.iter_mut().for_each(|job| self.add_live_progress(job));
+        Ok(jobs)
+    }
+
+    fn add_live_progress(&self, job: &mut JobSummary) {
+        if !job.state.is_final() && job.tasks_total > 0 {
+            let surplus = self.live.job_surplus(&job.id) / f64::from(job.tasks_total);
+            job.progress = (job.progress + surplus).clamp(0.0, 1.0);
+        }
+    }
+
+    pub async fn cancel_job(&self, id: &str) -> ApiResult<Job> {
+        let change = self.store.cancel_job(id, self.now()).await?;
+        self.after_change(id, change, "only queued and running jobs can be cancelled").await
+    }
+
+    pub async fn retry_job(&self, id: &str) -> ApiResult<Job> {
+        self.check_running()?;
+        let change = self.store.retry_job(id, self.now()).await?;
+        self.after_change(id, change, "only failed and cancelled jobs can be retried").await
+    }
+
+    pub async fn patch_job(&self, id: &str, patch: &JobPatch) -> ApiResult<Job> {
+        if patch.priority.is_some_and(|priority| !(-100..=100).contains(&priority)) {
+            return Err(ApiError::fields(vec![FieldError::new("/priority", "must be -100 to 100")]));
+        }
+        let change = self.store.patch_job(id, patch.priority, patch.paused, self.now()).await?;
+        self.after_change(id, change, "only queued and running jobs can be changed").await
+    }
+
+    async fn after_change(&self, id: &str, change: Change, rule: &str) -> ApiResult<Job> {
+        match change {
+            Change::Done => {
+                self.changed();
+                self.job(id).await
+            }
+            Change::Unknown => Err(ApiError::not_found("job", id)),
+            Change::Refused(state) => {
+                Err(ApiError::new(Code::WrongState, format!("the job is {}: {rule}", state.as_str())))
+            }
+            Change::SceneGone => Err(ApiError::new(Code::WrongState, "the job's scene was deleted: upload it again")),
+        }
+    }
+
+    /// Hash of the picture so far.
+    pub async fn preview(&self, id: &str) -> ApiResult<String> {
+        self.job(id).await?;
+        let none = || ApiError::new(Code::NotFound, "the job has no picture in progress at the moment");
+        self.live.preview_of(id).ok_or_else(none)
+    }
+
+    /// Logs of all attempts of a job under headings, or that of one.
+    pub async fn job_log(&self, id: &str, attempt: Option<&str>) -> ApiResult<String> {
+        let job = self.job(id).await?;
+        if let Some(wanted) = attempt {
+            let known = job.attempts.iter().any(|attempt| attempt.id == wanted);
+            if !known {
+                return Err(ApiError::not_found("attempt of this job", wanted));
+            }
+            return self.logs.read(wanted).await.map_err(ApiError::internal);
+        }
+        let mut text = String::new();
+        for attempt in &job.attempts {
+            let task = job.tasks.iter().find(|task| task.id == attempt.task).map_or(0, |task| task.index);
+            let heading = format!("=== task {task}, attempt {}, worker {}", attempt.number, attempt.worker_name);
+            text.push_str(&heading);
+            text.push('\n');
+            text.push_str(&self.logs.read(&attempt.id).await.map_err(ApiError::internal)?);
+        }
+        Ok(text)
+    }
+
+    fn idempotency(&self, key: &str, new: &NewJob) -> ApiResult<Idempotency> {
+        if !(1..=255).contains(&key.len()) || !key.bytes().all(|b| b.is_ascii_graphic()) {
+            return Err(ApiError::bad_request("header/idempotency-key", "must be 1 to 255 visible ASCII characters"));
+        }
+        let canonical = serde_json::to_vec(new).map_err(ApiError::internal)?;
+        Ok(Idempotency {
+            key: key.to_owned(),
+            fingerprint: blake3::hash(&canonical).to_hex().to_string(),
+            not_before: self.now() - KEY_LIFETIME_MS,
+        })
+    }
+
+    async fn check_job(&self, new: &NewJob) -> ApiResult<()> {
+        let mut errors = new.validate();
+        match self.store.scene(&new.scene).await? {
+            Some(scene) => errors.extend(check_camera(&new.settings, &scene)),
+            None => errors.push(FieldError::new("/scene", "there is no such scene")),
+        }
+        if let Some(Environment::Map(map)) = &new.settings.environment {
+            let pointer = "/settings/environment/map";
+            match self.blobs.start(&map.map, 16).await.map_err(ApiError::internal)? {
+                None if errors.iter().any(|error| error.pointer == pointer) => {}
+                None => errors.push(FieldError::new(pointer, "is not in the blob store: put it first")),
+                Some(start) if !is_environment_map(&start) => {
+                    errors.push(FieldError::new(pointer, "is neither a Radiance .hdr nor an OpenEXR file"));
+                }
+                Some(_) => {}
+            }
+        }
+        if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+    }
+}
+
+fn check_camera(settings: &RenderSettings, scene: &Scene) -> Option<FieldError> {
+    let cameras = &scene.summary.cameras;
+    let detail = match settings.camera.as_ref()? {
+        CameraChoice::Custom(_) => return None,
+        CameraChoice::Index(i) if (*i as usize) < cameras.len() => return None,
+        CameraChoice::Name(name) if cameras.iter().any(|camera| camera.name == *name) => return None,
+        _ if cameras.is_empty() => "the scene has no cameras: leave it null, or give one here".to_owned(),
+        CameraChoice::Index(_) => format!("must be 0 to {}", cameras.len() - 1),
+        CameraChoice::Name(_) => {
+            let names: Vec<String> = cameras.iter().take(20).map(|camera| format!("`{}`", camera.name)).collect();
+            format!("the scene has no such camera; it has {}", names.join(", "))
+        }
+    };
+    Some(FieldError::new("/settings/camera", detail))
+}
+
+/// By its first bytes: Radiance RGBE, or OpenEXR's magic number 20000630.
+fn is_environment_map(start: &[u8]) -> bool {
+    start.starts_with(b"#?RADIANCE") || start.starts_with(b"#?RGBE") || start.starts_with(&20_000_630u32.to_le_bytes())
+}
+
+/// The key of a `label.<key>` parameter may be one of the service's own, too.
+pub fn is_label_key(key: &str) -> bool {
+    key.starts_with(RESERVED_LABEL_PREFIX) || (1..=64).contains(&key.chars().count())
+}

@@ -1,0 +1,334 @@
+//! The worker protocol (see `lightshaft_api::lease`): lease, heartbeat, and the reports that end a lease.
+
+use std::collections::HashSet;
+use std::time::Duration;
+
+use lightshaft_api::blob::is_hash;
+use lightshaft_api::event::{Event, EventKind};
+use lightshaft_api::job::AttemptOutcome;
+use lightshaft_api::lease::{
+    Complete, Fail, Heartbeat, HeartbeatReply, Lease, LeaseClosed, LeaseRequest, LogAccepted, LogChunk, NewArtifact,
+    Release,
+};
+use lightshaft_api::problem::FieldError;
+use metrics::{counter, histogram};
+use serde_json::json;
+use tokio::time::Instant;
+use uuid::Uuid;
+
+use super::App;
+use crate::error::{ApiError, ApiResult};
+use crate::problems::Code;
+use crate::queue::Millis;
+use crate::store::{Claim, Claimed, ClaimedTask, Close, LeaseState};
+use crate::web::context::traceparent;
+
+/// Tasks become ready by time alone, too: a waiting worker looks again this often.
+const POLL_PERIOD: Duration = Duration::from_secs(1);
+
+impl App {
+    /// Waits for a task, up to `wait_s`.
+    pub async fn lease(&self, request: LeaseRequest) -> ApiResult<Option<Lease>> {
+        validate_request(&request)?;
+        let deadline = Instant::now() + Duration::from_secs(request.wait_s.into());
+        let mut changes = self.changes.subscribe();
+        self.sign_of_life(&request.worker).await?;
+        self.live.poll(&request.worker, request.cache.clone(), request.warm.clone());
+        // The first claim also tells an unknown worker from an idle one.
+        let mut look = true;
+        loop {
+            if self.shutdown.is_cancelled() {
+                return Ok(None);
+            }
+            changes.borrow_and_update();
+            if (look || self.store.has_ready_task(self.now()).await?)
+                && let Some(lease) = self.claim(&request).await?
+            {
+                return Ok(Some(lease));
+            }
+            look = false;
+            if Instant::now() >= deadline {
+                return Ok(None);
+            }
+            let pause = tokio::time::sleep_until(deadline.min(Instant::now() + POLL_PERIOD));
+            tokio::select! {
+                () = self.shutdown.cancelled() => return Ok(None),
+                _ = changes.changed() => {}
+                () = pause => { self.sign_of_life(&request.worker).await?; }
+            }
+        }
+    }
+
+    async fn claim(&self, request: &LeaseRequest) -> ApiResult<Option<Lease>> {
+        let now = self.now();
+        let claim = Claim {
+            worker: request.worker.clone(),
+            token: Uuid::new_v4().simple().to_string(),
+            attempt: Uuid::now_v7().to_string(),
+            now,
+            expires_at: now + self.ttl_ms(),
+            warm: request.warm.clone(),
+        };
+        let task = match self.store.claim(&claim).await? {
+            Claimed::UnknownWorker => return Err(ApiError::not_found("worker", &request.worker)),
+            Claimed::Nothing => return Ok(None),
+            Claimed::Task(task) => *task,
+        };
+        histogram!("lightshaft_lease_wait_seconds").record(task.waited_ms as f64 / 1000.0);
+        tracing::info!(
+            job.id = %task.job, task.id = %task.task, attempt = task.number, worker.id = %claim.worker,
+            trace.id = %task.trace_id, waited_ms = task.waited_ms, "task leased"
+        );
+        self.changed();
+        self.to_lease(claim, task).map(Some)
+    }
+
+    fn to_lease(&self, claim: Claim, task: ClaimedTask) -> ApiResult<Lease> {
+        let ttl_s = u32::try_from(self.config.lease_ttl.as_secs()).unwrap_or(u32::MAX).max(1);
+        Ok(Lease {
+            token: claim.token,
+            ttl_s,
+            heartbeat_s: self.config.lease_ttl.as_secs_f64() / 3.0,
+            expires_at: timestamp(claim.expires_at)?,
+            job: task.job,
+            task: task.task,
+            attempt: claim.attempt,
+            attempt_number: task.number,
+            traceparent: traceparent(&task.trace_id),
+            work: task.work,
+            settings: task.settings,
+            scene: task.scene,
+            parts: task.parts,
+        })
+    }
+
+    /// Keeps a lease. Most heartbeats only change what is in memory: the lease is written anew when a sixth of its
+    /// time is gone or the phase has changed.
+    pub async fn heartbeat(&self, token: &str, heartbeat: &Heartbeat) -> ApiResult<HeartbeatReply> {
+        let state = self.held(token, Code::LeaseEnded).await?;
+        if !heartbeat.progress.is_finite() {
+            return Err(ApiError::fields(vec![FieldError::new("/progress", "must be 0 to 1")]));
+        }
+        if let Some(preview) = &heartbeat.preview
+            && self.blobs.size(preview).await.map_err(ApiError::internal)?.is_none()
+        {
+            return Err(ApiError::fields(vec![FieldError::new("/preview", "is not in the blob store: put it first")]));
+        }
+        let now = self.now();
+        self.sign_of_life(&state.worker).await?;
+        let renewed_ago = now + self.ttl_ms() - state.expires_at;
+        let mut expires_at = state.expires_at;
+        let mut flushed = None;
+        if renewed_ago > self.ttl_ms() / 6 || state.phase != Some(heartbeat.phase) {
+            expires_at = now + self.ttl_ms();
+            let progress = heartbeat.progress.clamp(0.0, 1.0);
+            if !self.store.renew(token, heartbeat.phase, progress, expires_at, now).await? {
+                return Err(lease_ended(Code::LeaseEnded));
+            }
+            flushed = Some(progress);
+        }
+        self.show_progress(&state, heartbeat, flushed).await?;
+        Ok(HeartbeatReply {
+            expires_at: timestamp(expires_at)?,
+            cancel: state.cancel_requested,
+            drain: state.draining || self.shutdown.is_cancelled(),
+        })
+    }
+
+    async fn show_progress(&self, state: &LeaseState, heartbeat: &Heartbeat, flushed: Option<f64>) -> ApiResult<()> {
+        let beat = self.live.beat(&state.job, &state.task, heartbeat, flushed);
+        let event = |kind, data| -> ApiResult<Event> {
+            Ok(Event { id: None, at: timestamp(self.now())?, job: state.job.clone(), kind, data })
+        };
+        let progress = json!({
+            "task": state.task, "progress": heartbeat.progress, "phase": heartbeat.phase, "spp": heartbeat.spp,
+        });
+        self.tell_progress(event(EventKind::JobProgress, progress)?);
+        if beat.new_preview {
+            let href = format!("/v1/jobs/{}/preview.png", state.job);
+            self.tell_progress(event(EventKind::JobPreview, json!({ "task": state.task, "href": href }))?);
+        }
+        self.delete_unused(beat.old_preview).await?;
+        Ok(())
+    }
+
+    pub async fn append_log(&self, token: &str, chunk: &LogChunk) -> ApiResult<LogAccepted> {
+        let state = self.held(token, Code::StaleLease).await?;
+        let next_sequence = self.logs.append(&state.attempt, chunk).await.map_err(ApiError::internal)?;
+        Ok(LogAccepted { next_sequence })
+    }
+
+    pub async fn complete(&self, token: &str, report: &Complete) -> ApiResult<LeaseClosed> {
+        let _in_use = self.blob_use.read().await;
+        let errors = self.check_artifacts(&report.artifacts).await?;
+        if !errors.is_empty() {
+            return Err(ApiError::fields(errors));
+        }
+        let close = self.store.complete(token, report, self.now()).await?;
+        drop(_in_use);
+        if matches!(close, Close::Closed(_)) {
+            for cache in &report.metrics.cache {
+                counter!("lightshaft_structures_total", "source" => cache.source.as_str()).increment(1);
+            }
+        }
+        self.close(token, close, |outcome| outcome == AttemptOutcome::Succeeded).await
+    }
+
+    pub async fn fail(&self, token: &str, report: &Fail) -> ApiResult<LeaseClosed> {
+        if report.error.len() > 16 << 10 {
+            return Err(ApiError::fields(vec![FieldError::new("/error", "must have at most 16384 bytes")]));
+        }
+        let jitter = rand::random_range(-1.0..=1.0);
+        let close = self.store.fail(token, report, jitter, self.now()).await?;
+        let expected = report.class.outcome();
+        self.close(token, close, |outcome| outcome == expected || outcome == AttemptOutcome::Cancelled).await
+    }
+
+    pub async fn release(&self, token: &str, report: &Release) -> ApiResult<LeaseClosed> {
+        let close = self.store.release(token, report.cancelled, self.now()).await?;
+        let released = |outcome| matches!(outcome, AttemptOutcome::Interrupted | AttemptOutcome::Cancelled);
+        self.close(token, close, released).await
+    }
+
+    /// A repeated report is answered like the first; any other report on an ended lease is stale.
+    async fn close(
+        &self,
+        token: &str,
+        close: Close,
+        is_repeat: impl Fn(AttemptOutcome) -> bool,
+    ) -> ApiResult<LeaseClosed> {
+        let outcome = match close {
+            Close::Unknown => return Err(unknown_lease()),
+            Close::Already(outcome) if is_repeat(outcome) => outcome,
+            Close::Already(_) => {
+                counter!("lightshaft_fenced_reports_total").increment(1);
+                return Err(lease_ended(Code::StaleLease));
+            }
+            Close::Closed(outcome) => {
+                counter!("lightshaft_attempts_total", "outcome" => outcome.as_str()).increment(1);
+                if let Some(state) = self.store.lease(token).await? {
+                    tracing::info!(
+                        job.id = %state.job, task.id = %state.task, attempt.id = %state.attempt,
+                        worker.id = %state.worker, outcome = outcome.as_str(), "attempt ended"
+                    );
+                    self.sign_of_life(&state.worker).await?;
+                    self.logs.close(&state.attempt).await;
+                    self.end_task(&state.task).await?;
+                }
+                self.changed();
+                outcome
+            }
+        };
+        Ok(LeaseClosed { outcome })
+    }
+
+    /// Ends leases that ran out; returns how many.
+    pub async fn expire_leases(&self) -> ApiResult<usize> {
+        let expired = self.store.expire_leases(self.now()).await?;
+        for lease in &expired {
+            tracing::warn!(
+                job.id = %lease.job, task.id = %lease.task, worker.id = %lease.worker, again = lease.again,
+                "lease expired"
+            );
+            counter!("lightshaft_lease_expiries_total").increment(1);
+            counter!("lightshaft_attempts_total", "outcome" => AttemptOutcome::Expired.as_str()).increment(1);
+            self.end_task(&lease.task).await?;
+        }
+        if !expired.is_empty() {
+            self.changed();
+        }
+        Ok(expired.len())
+    }
+
+    /// Forgets what was live of a task whose lease has ended.
+    pub(super) async fn end_task(&self, task: &str) -> ApiResult<()> {
+        self.delete_unused(self.live.end_task(task)).await?;
+        Ok(())
+    }
+
+    async fn held(&self, token: &str, ended: Code) -> ApiResult<LeaseState> {
+        let state = self.store.lease(token).await?.ok_or_else(unknown_lease)?;
+        if state.outcome != AttemptOutcome::Running || state.expires_at <= self.now() {
+            counter!("lightshaft_fenced_reports_total").increment(1);
+            return Err(lease_ended(ended));
+        }
+        Ok(state)
+    }
+
+    async fn sign_of_life(&self, worker: &str) -> ApiResult<()> {
+        if self.live.seen(worker, self.now()) {
+            self.store.touch_worker(worker, self.now()).await?;
+        }
+        Ok(())
+    }
+
+    fn ttl_ms(&self) -> Millis {
+        Millis::try_from(self.config.lease_ttl.as_millis()).unwrap_or(Millis::MAX)
+    }
+
+    async fn check_artifacts(&self, artifacts: &[NewArtifact]) -> ApiResult<Vec<FieldError>> {
+        let mut errors = Vec::new();
+        let mut names = HashSet::new();
+        if artifacts.len() > 1000 {
+            errors.push(FieldError::new("/artifacts", "must be at most 1000 artifacts"));
+        }
+        for (i, artifact) in artifacts.iter().enumerate().take(1000) {
+            let mut wrong = |field: &str, detail: &str| {
+                errors.push(FieldError::new(format!("/artifacts/{i}/{field}"), detail));
+            };
+            if !is_artifact_name(&artifact.name) {
+                wrong("name", "must be 1 to 128 letters, digits, `.`, `_` and `-`, not beginning with `.`");
+            }
+            if !names.insert(&artifact.name) {
+                wrong("name", "is named twice");
+            }
+            if !is_media_type(&artifact.media_type) {
+                wrong("media_type", "must be a media type such as image/png");
+            }
+            match self.blobs.size(&artifact.blob).await.map_err(ApiError::internal)? {
+                None => wrong("blob", "is not in the blob store: put it first"),
+                Some(size) if size != artifact.bytes => wrong("bytes", "is not the blob's length"),
+                Some(_) => {}
+            }
+        }
+        Ok(errors)
+    }
+}
+
+fn validate_request(request: &LeaseRequest) -> ApiResult<()> {
+    let mut errors = Vec::new();
+    if request.wait_s > 30 {
+        errors.push(FieldError::new("/wait_s", "must be 0 to 30"));
+    }
+    if request.warm.len() > 4096 {
+        errors.push(FieldError::new("/warm", "must be at most 4096 hashes"));
+    } else if let Some(i) = request.warm.iter().position(|hash| !is_hash(hash)) {
+        errors.push(FieldError::new(format!("/warm/{i}"), "must be 64 lower-case hex digits"));
+    }
+    if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+}
+
+fn is_artifact_name(name: &str) -> bool {
+    (1..=128).contains(&name.len())
+        && !name.starts_with('.')
+        && name.bytes().all(|b| b.is_ascii_alphanumeric() || b"._-".contains(&b))
+}
+
+fn is_media_type(text: &str) -> bool {
+    let is_token =
+        |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_alphanumeric() || b".+-".contains(&b));
+    text.len() <= 127 && text.split_once('/').is_some_and(|(kind, subtype)| is_token(kind) && is_token(subtype))
+}
+
+fn unknown_lease() -> ApiError {
+    // The token is a secret, even a wrong one.
+    ApiError::new(Code::NotFound, "there is no lease with this token")
+}
+
+fn lease_ended(code: Code) -> ApiError {
+    ApiError::new(code, "the lease has ended: the task is no longer this worker's; drop the work")
+}
+
+fn timestamp(ms: Millis) -> ApiResult<jiff::Timestamp> {
+    jiff::Timestamp::from_millisecond(ms).map_err(ApiError::internal)
+}

@@ -1,0 +1,14 @@
+//! Forgets idempotency keys after a day and events after a month, and keeps the write-ahead log small.
+
+use crate::app::{KEY_LIFETIME_MS, Shared};
+use crate::error::ApiResult;
+use crate::queue::Millis;
+
+const EVENT_LIFETIME_MS: Millis = 30 * 24 * 3_600_000;
+
+pub(super) async fn run(app: Shared) -> ApiResult<()> {
+    let now = app.now();
+    while app.store.forget_before(now - KEY_LIFETIME_MS, now - EVENT_LIFETIME_MS).await? > 0 {}
+    app.store.checkpoint().await?;
+    Ok(())
+}

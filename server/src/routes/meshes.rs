@@ -1,0 +1,59 @@
+//! `/v1/meshes`
+
+use axum::Json as Reply;
+use axum::extract::State;
+use lightshaft_api::mesh::{Mesh, NewStructure, Structure};
+use lightshaft_api::page::Page;
+use lightshaft_api::problem::Problem;
+
+use crate::app::Shared;
+use crate::error::ApiResult;
+use crate::store::PageRequest;
+use crate::web::body::{Id, Json, PageParams, Params};
+use crate::web::page::page;
+
+/// Meshes in order of their hash.
+#[utoipa::path(
+    get, path = "/v1/meshes", tag = "meshes", params(PageParams),
+    responses(
+        (status = 200, body = Page<Mesh>),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list_meshes(
+    State(app): State<Shared>,
+    Params(params): Params<PageParams>,
+) -> ApiResult<Reply<Page<Mesh>>> {
+    let request = PageRequest { limit: params.limit()? + 1, after: params.after_hash()? };
+    Ok(page(app.meshes(&request).await?, request.limit, |mesh| &mesh.hash))
+}
+
+/// A mesh and the structures that exist for it.
+#[utoipa::path(
+    get, path = "/v1/meshes/{hash}", tag = "meshes",
+    params(("hash" = String, Path, description = "The mesh's hash")),
+    responses(
+        (status = 200, body = Mesh),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn get_mesh(State(app): State<Shared>, Id(hash): Id) -> ApiResult<Reply<Mesh>> {
+    Ok(Reply(app.mesh(&hash).await?))
+}
+
+/// Tells of a structure whose blob was put before. Of several with the same key, the first is kept and answered.
+#[utoipa::path(
+    post, path = "/v1/meshes/{hash}/structures", tag = "meshes",
+    params(("hash" = String, Path, description = "The mesh's hash")), request_body = NewStructure,
+    responses(
+        (status = 200, body = Structure),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn add_structure(
+    State(app): State<Shared>,
+    Id(hash): Id,
+    Json(structure): Json<NewStructure>,
+) -> ApiResult<Reply<Structure>> {
+    Ok(Reply(app.add_structure(&hash, &structure).await?))
+}

@@ -1,0 +1,232 @@
+//! Extractors that answer with problem documents: JSON bodies whose errors name the field, queries, path ids.
+
+use axum::body::Body;
+use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use http::header::{CONTENT_LENGTH, CONTENT_TYPE};
+use http::request::Parts;
+use http::{HeaderMap, HeaderValue};
+use http_body_util::{BodyExt, LengthLimitError, Limited};
+use lightshaft_api::problem::{FieldError, escape_pointer};
+use serde::de::DeserializeOwned;
+use serde_path_to_error::{Path, Segment};
+use uuid::Uuid;
+
+use crate::app::Shared;
+use crate::error::{ApiError, ApiResult};
+use crate::problems::Code;
+
+/// A JSON body.
+#[derive(Clone, Copy, Debug)]
+pub struct Json<T>(pub T);
+
+impl<T: DeserializeOwned> FromRequest<Shared> for Json<T> {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, app: &Shared) -> ApiResult<Self> {
+        if !media_type(request.headers()).is_some_and(|media| media == "application/json" || media.ends_with("+json")) {
+            return Err(ApiError::new(Code::UnsupportedMediaType, "expected Content-Type: application/json"));
+        }
+        let bytes = read_limited(request.headers().get(CONTENT_LENGTH).cloned(), request, app).await?;
+        parse(&bytes).map(Json)
+    }
+}
+
+async fn read_limited(length: Option<HeaderValue>, request: Request, app: &Shared) -> ApiResult<bytes::Bytes> {
+    let limit = app.config.limits.json_bytes;
+    let too_large = || ApiError::new(Code::TooLarge, format!("a JSON body must be at most {limit} bytes"));
+    let announced = length.and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
+    if announced.is_some_and(|length| length > limit) {
+        return Err(too_large());
+    }
+    let limited = Limited::new(request.into_body(), usize::try_from(limit).unwrap_or(usize::MAX));
+    let read = tokio::time::timeout(app.config.limits.upload_stall, limited.collect());
+    match read.await {
+        Ok(Ok(body)) => Ok(body.to_bytes()),
+        Ok(Err(error)) if error.is::<LengthLimitError>() => Err(too_large()),
+        Ok(Err(_)) => Err(ApiError::new(Code::IncompleteBody, "the body ended before its announced length")),
+        Err(_) => Err(ApiError::new(Code::UploadStalled, "the body did not arrive in time")),
+    }
+}
+
+/// Reads JSON; syntax errors name line and column, all others the field.
+fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
+    let mut deserializer = serde_json::Deserializer::from_slice(bytes);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let pointer = pointer(error.path());
+        let inner = error.into_inner();
+        match inner.classify() {
+            serde_json::error::Category::Data => ApiError::fields(vec![data_error(pointer, &inner.to_string())]),
+            _ => ApiError::new(Code::BadJson, inner.to_string()),
+        }
+    })?;
+    deserializer.end().map_err(|error| ApiError::new(Code::BadJson, error.to_string()))?;
+    Ok(value)
+}
+
+fn pointer(path: &Path) -> String {
+    let mut pointer = String::new();
+    for segment in path {
+        match segment {
+            Segment::Seq { index } => pointer.push_str(&format!("/{index}")),
+            Segment::Map { key } => pointer.push_str(&format!("/{}", escape_pointer(key))),
+            Segment::Enum { .. } | Segment::Unknown => {}
+        }
+    }
+    pointer
+}
+
+/// serde reports an unknown or missing field at the object that lacks or holds it; the pointer goes to the field.
+fn data_error(mut pointer: String, message: &str) -> FieldError {
+    let detail = message.rsplit_once(" at line ").map_or(message, |(detail, _)| detail);
+    for prefix in ["unknown field `", "missing field `"] {
+        let field = detail.strip_prefix(prefix).and_then(|rest| rest.split('`').next());
+        if let Some(field) = field {
+            let token = format!("/{}", escape_pointer(field));
+            if !pointer.ends_with(&token) {
+                pointer.push_str(&token);
+            }
+        }
+    }
+    FieldError::new(pointer, detail)
+}
+
+/// A query string; unknown parameters are errors where the type denies them.
+#[derive(Clone, Copy, Debug)]
+pub struct Params<T>(pub T);
+
+impl<T: DeserializeOwned> FromRequestParts<Shared> for Params<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Shared) -> ApiResult<Self> {
+        match Query::<T>::try_from_uri(&parts.uri) {
+            Ok(Query(params)) => Ok(Self(params)),
+            Err(rejection) => {
+                let message = rejection.body_text();
+                let detail = message.trim_start_matches("Failed to deserialize query string: ");
+                let (name, detail) = match detail.split_once(": ") {
+                    Some((name, detail)) if !name.contains(' ') => (name, detail),
+                    _ => (detail.split('`').nth(1).unwrap_or_default(), detail),
+                };
+                Err(ApiError::bad_request(&format!("query/{name}"), detail))
+            }
+        }
+    }
+}
+
+/// The one parameter of a path, as text.
+#[derive(Clone, Debug)]
+pub struct Id(pub String);
+
+impl FromRequestParts<Shared> for Id {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, app: &Shared) -> ApiResult<Self> {
+        match axum::extract::Path::<String>::from_request_parts(parts, app).await {
+            Ok(axum::extract::Path(id)) => Ok(Self(id)),
+            Err(_) => Err(ApiError::new(Code::NotFound, "the address holds no readable id")),
+        }
+    }
+}
+
+/// The body as a stream of an upload, checked against a budget by its announced length first.
+pub fn upload(request: Request, limit: u64) -> ApiResult<Body> {
+    let announced = request.headers().get(CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
+    if announced.is_some_and(|length| length > limit) {
+        return Err(ApiError::new(Code::TooLarge, format!("the body must be at most {limit} bytes")));
+    }
+    Ok(request.into_body())
+}
+
+/// The media type of a request in lower case, without parameters.
+pub fn media_type(headers: &HeaderMap) -> Option<String> {
+    let value = headers.get(CONTENT_TYPE)?.to_str().ok()?;
+    Some(value.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
+}
+
+/// The rows a page may have, and where it starts.
+#[derive(Clone, Debug, Default, serde::Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct PageParams {
+    /// Rows, 1 to 200; 50 by default.
+    pub limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    pub cursor: Option<String>,
+}
+
+impl PageParams {
+    pub fn limit(&self) -> ApiResult<u32> {
+        match self.limit.unwrap_or(50) {
+            limit @ 1..=200 => Ok(limit),
+            _ => Err(ApiError::bad_request("query/limit", "must be 1 to 200")),
+        }
+    }
+
+    /// Cursors are opaque to clients; inside, they are the last row's id.
+    pub fn after_id(&self) -> ApiResult<Option<String>> {
+        self.check_cursor(|cursor| Uuid::parse_str(cursor).is_ok_and(|id| id.to_string() == cursor))
+    }
+
+    pub fn after_hash(&self) -> ApiResult<Option<String>> {
+        self.check_cursor(lightshaft_api::blob::is_hash)
+    }
+
+    fn check_cursor(&self, is_valid: impl Fn(&str) -> bool) -> ApiResult<Option<String>> {
+        match &self.cursor {
+            Some(cursor) if !is_valid(cursor) => {
+                Err(ApiError::bad_request("query/cursor", "is not a cursor that this list gave"))
+            }
+            cursor => Ok(cursor.clone()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lightshaft_api::job::NewJob;
+
+    use super::*;
+
+    fn field_of(body: &str) -> (String, String) {
+        let error = parse::<NewJob>(body.as_bytes()).unwrap_err();
+        assert_eq!(error.code(), Code::InvalidFields, "{body}");
+        let (pointer, detail) = error.to_string().split_once(": ").map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
+        (pointer, detail)
+    }
+
+    #[test]
+    fn a_wrong_field_is_named_with_its_place() {
+        let (pointer, detail) = field_of(r#"{ "scene": "x", "settings": { "widht": 5 } }"#);
+        assert_eq!(pointer, "/settings/widht");
+        assert!(detail.contains("unknown field `widht`"), "{detail}");
+        assert_eq!(field_of(r#"{ "scene": "x", "settings": { "width": "wide" } }"#).0, "/settings/width");
+        assert_eq!(field_of(r#"{ "scene": "x", "settings": { "width": -1 } }"#).0, "/settings/width");
+        assert_eq!(field_of(r#"{ "settings": {} }"#).0, "/scene");
+        assert_eq!(
+            field_of(r#"{ "scene": "x", "settings": { "lights": [{ "kind": "point", "colour": 1 }] } }"#).0,
+            "/settings/lights/0/colour"
+        );
+        assert_eq!(
+            field_of(r#"{ "scene": "x", "settings": { "camera": { "positon": [0,0,0] } } }"#).0,
+            "/settings/camera/positon"
+        );
+    }
+
+    #[test]
+    fn an_unknown_value_comes_with_those_allowed() {
+        let (pointer, detail) = field_of(r#"{ "scene": "x", "settings": { "integrator": "magic" } }"#);
+        assert_eq!(pointer, "/settings/integrator");
+        for allowed in ["aov", "ao", "direct", "whitted", "path"] {
+            assert!(detail.contains(&format!("`{allowed}`")), "{detail}");
+        }
+    }
+
+    #[test]
+    fn broken_json_is_named_by_line_and_column() {
+        for body in ["{", "{\n \"scene\": }", "", "{} x", "\u{0}"] {
+            let error = parse::<serde_json::Value>(body.as_bytes()).unwrap_err();
+            assert_eq!(error.code(), Code::BadJson, "{body}");
+            assert!(error.to_string().contains("line"), "{error}");
+        }
+    }
+}
