@@ -87,7 +87,8 @@ impl WideBvh {
     pub(super) fn over_mesh(bvh2: &Bvh2, mesh: &Mesh) -> Result<Self, String> {
         let triangle_count = mesh.triangles.len() as u32;
         let packets_of = |primitives: &[u32]| {
-            let spheres = primitives.iter().filter(|&&p| p >= triangle_count).count();
+            let spheres =
+                if mesh.spheres.is_empty() { 0 } else { primitives.iter().filter(|&&p| p >= triangle_count).count() };
             spheres.div_ceil(LANES) + (primitives.len() - spheres).div_ceil(LANES)
         };
         let (plan, leaves) = plan(bvh2, MAX_LEAF_PRIMITIVES, |primitives| packets_of(primitives) as u32)?;
@@ -146,11 +147,15 @@ struct Choice {
 }
 
 /// Chooses wide nodes and leaves, in depth-first order. `entries` says how many leaf entries some primitives need.
-fn plan(bvh2: &Bvh2, max_leaf: u32, entries: impl Fn(&[u32]) -> u32) -> Result<(Vec<PlannedNode>, Vec<Leaf>), String> {
+fn plan(
+    bvh2: &Bvh2,
+    max_leaf: u32,
+    entries: impl Fn(&[u32]) -> u32 + Sync,
+) -> Result<(Vec<PlannedNode>, Vec<Leaf>), String> {
     if bvh2.nodes.is_empty() {
         return Ok((Vec::new(), Vec::new()));
     }
-    let choices = choose(bvh2, max_leaf, &entries);
+    let choices = Chooser::new(bvh2, max_leaf, &entries).choose();
     let mut nodes: Vec<PlannedNode> = Vec::with_capacity(bvh2.nodes.len() / 6 + 1);
     let mut leaves = Vec::with_capacity(bvh2.nodes.len() / 2 + 1);
     let mut next_entry = 0_u32;
@@ -195,31 +200,59 @@ fn plan(bvh2: &Bvh2, max_leaf: u32, entries: impl Fn(&[u32]) -> u32) -> Result<(
     Ok((nodes, leaves))
 }
 
-fn choose(bvh2: &Bvh2, max_leaf: u32, entries: &impl Fn(&[u32]) -> u32) -> Vec<Choice> {
-    let root = &bvh2.nodes[0];
-    let extent = (0..3).map(|k| f64::from(root.max[k]) - f64::from(root.min[k])).fold(0.0, f64::max);
-    // Areas relative to the root, so that they do not overflow.
-    let scale = if extent > 0.0 { (1.0 / extent) as f32 } else { 1.0 };
-    let area = |node: &Bvh2Node| {
-        let e = Vec3A::from_array(node.max) * scale - Vec3A::from_array(node.min) * scale;
-        e.x * e.y + e.y * e.z + e.z * e.x
-    };
-    let mut choices = vec![Choice::default(); bvh2.nodes.len()];
-    for index in (0..bvh2.nodes.len()).rev() {
-        let node = &bvh2.nodes[index];
-        let area = area(node);
-        let leaf_cost =
-            |first: u32, count: u32| area * entries(&bvh2.primitives[first as usize..(first + count) as usize]) as f32;
+/// The dynamic programme, from the leaves up.
+struct Chooser<'a, E> {
+    bvh2: &'a Bvh2,
+    max_leaf: u32,
+    entries: &'a E,
+    /// Areas are taken relative to the root, so that they do not overflow.
+    scale: f32,
+}
+
+impl<'a, E: Fn(&[u32]) -> u32 + Sync> Chooser<'a, E> {
+    /// Subtrees with fewer nodes are left to one thread.
+    const PARALLEL_NODES: usize = 16384;
+
+    fn new(bvh2: &'a Bvh2, max_leaf: u32, entries: &'a E) -> Self {
+        let bounds = bvh2.bounds();
+        let extent = bounds.max.as_dvec3() - bounds.min.as_dvec3();
+        let scale = if extent.max_element() > 0.0 { (1.0 / extent.max_element()) as f32 } else { 1.0 };
+        Self { bvh2, max_leaf, entries, scale }
+    }
+
+    fn choose(&self) -> Vec<Choice> {
+        let mut choices = vec![Choice::default(); self.bvh2.nodes.len()];
+        self.choose_subtree(0, &mut choices);
+        choices
+    }
+
+    /// `choices` are those of the subtree's nodes, which are the nodes from `root` on.
+    fn choose_subtree(&self, root: usize, choices: &mut [Choice]) {
+        if choices.len() < Self::PARALLEL_NODES {
+            for at in (0..choices.len()).rev() {
+                choices[at] = self.choice(root + at, root, choices);
+            }
+            return;
+        }
+        let right = self.bvh2.nodes[root].right_or_first as usize;
+        let (low, high) = choices[1..].split_at_mut(right - root - 1);
+        rayon::join(|| self.choose_subtree(root + 1, low), || self.choose_subtree(right, high));
+        choices[0] = self.choice(root, root, choices);
+    }
+
+    /// The choice for node `index`; `choices`, which start at node `first`, hold its children's.
+    fn choice(&self, index: usize, first: usize, choices: &[Choice]) -> Choice {
+        let node = &self.bvh2.nodes[index];
+        let area = self.half_area(node);
         if node.is_leaf() {
             let (first, count) = (node.right_or_first, node.count);
-            let cost = leaf_cost(first, count);
-            choices[index] = Choice { costs: [cost; 7], left: [0; 8], is_leaf: true, first, count };
-            continue;
+            let cost = area * self.leaf_cost(first, count);
+            return Choice { costs: [cost; WIDTH - 1], left: [0; WIDTH], is_leaf: true, first, count };
         }
-        let (left, right) = (&choices[index + 1], &choices[node.right_or_first as usize]);
+        let (left, right) = (&choices[index + 1 - first], &choices[node.right_or_first as usize - first]);
         let mut choice = Choice { first: left.first, count: left.count + right.count, ..Choice::default() };
         let mut split = [0.0; WIDTH + 1];
-        for roots in 2..=WIDTH {
+        for (roots, cheapest) in split.iter_mut().enumerate().skip(2) {
             let (mut best, mut best_left) = (f32::INFINITY, 1);
             for to_left in 1..roots {
                 let cost = left.costs[to_left - 1] + right.costs[roots - to_left - 1];
@@ -227,28 +260,36 @@ fn choose(bvh2: &Bvh2, max_leaf: u32, entries: &impl Fn(&[u32]) -> u32) -> Vec<C
                     (best, best_left) = (cost, to_left);
                 }
             }
-            split[roots] = best;
+            *cheapest = best;
             choice.left[roots - 1] = best_left as u8;
         }
         let inner_cost = split[WIDTH] + NODE_COST * area;
         choice.costs[0] = inner_cost;
-        if choice.count <= max_leaf {
-            let cost = leaf_cost(choice.first, choice.count);
+        if choice.count <= self.max_leaf {
+            let cost = area * self.leaf_cost(choice.first, choice.count);
             if cost <= inner_cost {
                 (choice.costs[0], choice.is_leaf) = (cost, true);
             }
         }
-        for roots in 2..WIDTH {
-            if split[roots] < choice.costs[roots - 2] {
-                choice.costs[roots - 1] = split[roots];
+        for (roots, &cost) in split.iter().enumerate().take(WIDTH).skip(2) {
+            if cost < choice.costs[roots - 2] {
+                choice.costs[roots - 1] = cost;
             } else {
                 choice.costs[roots - 1] = choice.costs[roots - 2];
                 choice.left[roots - 1] = 0;
             }
         }
-        choices[index] = choice;
+        choice
     }
-    choices
+
+    fn leaf_cost(&self, first: u32, count: u32) -> f32 {
+        (self.entries)(&self.bvh2.primitives[first as usize..(first + count) as usize]) as f32
+    }
+
+    fn half_area(&self, node: &Bvh2Node) -> f32 {
+        let e = Vec3A::from_array(node.max) * self.scale - Vec3A::from_array(node.min) * self.scale;
+        e.x * e.y + e.y * e.z + e.z * e.x
+    }
 }
 
 /// The roots of the cheapest forest below inner node `node`, from left to right.
@@ -281,10 +322,10 @@ fn emit(plan: &[PlannedNode], bvh2: &Bvh2) -> Vec<Node> {
         let mut centers = [[f32::INFINITY; 3]; WIDTH];
         for (slot, &source) in planned.sources.iter().enumerate().filter(|(_, source)| **source != NO_NODE) {
             let from = &bvh2.nodes[source as usize];
-            for axis in 0..3 {
-                node.bounds[axis][slot] = from.min[axis];
-                node.bounds[axis + 3][slot] = from.max[axis];
-                centers[slot][axis] = 0.5 * from.min[axis] + 0.5 * from.max[axis];
+            for (axis, (&low, &high)) in from.min.iter().zip(&from.max).enumerate() {
+                node.bounds[axis][slot] = low;
+                node.bounds[axis + 3][slot] = high;
+                centers[slot][axis] = 0.5 * low + 0.5 * high;
             }
         }
         node.children = planned.children.map(|child| child.0);

@@ -200,13 +200,13 @@ pub(crate) fn oracle(mesh: &Mesh, ray: &Ray) -> Option<(f64, f64, f64, u32)> {
 /// A ray that reaches into the mesh's surroundings, in the manner of cameras, bounces and shadow rays.
 pub(crate) fn random_ray(random: &mut Random, bounds: &Aabb) -> Ray {
     let at = |random: &mut Random, grow: f32| bounds.center() + (1.0 + grow) * (random.point() - 0.5) * bounds.extent();
-    let grow = if random.next() % 2 == 0 { 2.0 } else { 0.0 };
+    let grow = if random.next().is_multiple_of(2) { 2.0 } else { 0.0 };
     let origin = at(random, grow);
     let direction = match random.next() % 4 {
         0 => [Vec3::X, Vec3::NEG_Y, Vec3::Z][random.next() as usize % 3] * bounds.extent(),
         1 => random.direction() * bounds.extent().length(),
         _ => at(random, 0.0) - origin,
     };
-    let t_max = if random.next() % 3 == 0 { random.unit() } else { f32::INFINITY };
+    let t_max = if random.next().is_multiple_of(3) { random.unit() } else { f32::INFINITY };
     Ray { origin, t_min: 0.0, direction, t_max }
 }

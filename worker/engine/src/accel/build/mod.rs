@@ -1,10 +1,11 @@
 //! Builders of the binary tree.
 //!
 //! [`build`] sorts primitives top-down by the surface area heuristic: object splits over bins ([`object`], Wald 2007,
-//! "On fast construction of SAH-based bounding volume hierarchies"). Large nodes are split in parallel. What is built
-//! never depends on the number of threads.
+//! "On fast construction of SAH-based bounding volume hierarchies"), and on request spatial splits ([`spatial`]). Large
+//! nodes are split in parallel. What is built never depends on the number of threads.
 
 mod object;
+mod spatial;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -56,25 +57,34 @@ pub(super) fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> R
             refs.push(PrimRef::new(bounds, primitive as u32));
         }
     }
-    build_over(refs, &Options::new(params), cancel)
+    build_over(refs, params.spatial_splits.then_some(mesh), &Options::new(params), cancel)
 }
 
 /// The tree over given boxes: box `i` is primitive `i`. Empty boxes are left out.
 pub(super) fn build_over_boxes(boxes: &[Aabb], max_leaf: usize) -> Bvh2 {
     let refs = (0_u32..).zip(boxes).filter(|(_, b)| !b.is_empty()).map(|(i, b)| PrimRef::new(*b, i)).collect();
     let options = Options { bins: 16, max_leaf };
-    build_over(refs, &options, &AtomicBool::new(false)).expect("nobody cancels")
+    build_over(refs, None, &options, &AtomicBool::new(false)).expect("nobody cancels")
 }
 
-fn build_over(mut refs: Vec<PrimRef>, options: &Options, cancel: &AtomicBool) -> Result<Bvh2, BuildError> {
+/// With spatial splits where `splittable` gives the mesh, unless it is so large or small that it must be scaled.
+fn build_over(
+    mut refs: Vec<PrimRef>,
+    splittable: Option<&Mesh>,
+    options: &Options,
+    cancel: &AtomicBool,
+) -> Result<Bvh2, BuildError> {
     if refs.is_empty() {
         return Ok(Bvh2::default());
     }
+    let context = object::Context { options, cancel };
     let scale = normalising_scale(&refs);
+    if let (Some(mesh), 1.0) = (splittable, scale) {
+        return Ok(spatial::SpatialContext::build(context, mesh, refs)?.flatten());
+    }
     if scale != 1.0 {
         refs.iter_mut().for_each(|r| r.scale(scale));
     }
-    let context = object::Context { options, cancel };
     let mut tree = context.build(&mut refs)?.flatten();
     if scale != 1.0 {
         refs.iter_mut().for_each(|r| r.scale(1.0 / scale));
@@ -150,6 +160,11 @@ impl Bounds {
     }
 
     #[inline]
+    pub(super) fn intersection(self, other: Self) -> Self {
+        Self { min: self.min.max(other.min), max: self.max.min(other.max) }
+    }
+
+    #[inline]
     pub(super) fn grow(&mut self, point: Vec4) {
         self.min = self.min.min(point);
         self.max = self.max.max(point);
@@ -190,6 +205,10 @@ const ID_TAG: u32 = 0x2000_0000;
 impl PrimRef {
     fn new(bounds: Aabb, id: u32) -> Self {
         Self { min: bounds.min.extend(f32::from_bits(ID_TAG | id)), max: bounds.max.extend(0.0) }
+    }
+
+    fn with_bounds(bounds: Bounds, id: u32) -> Self {
+        Self::new(Aabb { min: bounds.min.truncate(), max: bounds.max.truncate() }, id)
     }
 
     #[inline]

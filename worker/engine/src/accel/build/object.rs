@@ -80,12 +80,12 @@ impl Mapping {
 }
 
 #[derive(Clone, Copy)]
-struct Bin {
+pub(super) struct Bin {
     bounds: Bounds,
     count: u32,
 }
 
-type Bins = [[Bin; MAX_BINS]; 3];
+pub(super) type Bins = [[Bin; MAX_BINS]; 3];
 const EMPTY_BINS: Bins = [[Bin { bounds: Bounds::EMPTY, count: 0 }; MAX_BINS]; 3];
 
 impl Context<'_> {
@@ -114,7 +114,7 @@ impl Context<'_> {
             self.build_serial(refs, extent, depth, &mut tree);
             return Ok(Subtree::Built(tree));
         }
-        let split = self.find_split(refs, &extent)?;
+        let (split, _) = self.find_split(refs, &extent)?;
         let (middle, left, right) = self.divide(refs, &extent, split, depth);
         let (low, high) = refs.split_at_mut(middle);
         let (low, high) =
@@ -147,11 +147,13 @@ impl Context<'_> {
         self.options.bins.min(4 + count / 2)
     }
 
-    pub(super) fn find_split(&self, refs: &[PrimRef], extent: &Extent) -> Result<Option<Split>, BuildError> {
+    /// The best split, and the bins from which it was chosen.
+    pub(super) fn find_split(
+        &self,
+        refs: &[PrimRef],
+        extent: &Extent,
+    ) -> Result<(Option<Split>, Box<Bins>), BuildError> {
         let bins = self.bins(refs.len());
-        if refs.len() <= BIN_CHUNK {
-            return Ok(binned_split(refs, extent, bins));
-        }
         let filled = refs
             .par_chunks(BIN_CHUNK)
             .map(|chunk| check(self.cancel).map(|()| Box::new(fill_bins(chunk, extent, bins))))
@@ -163,7 +165,7 @@ impl Context<'_> {
                 Ok(a)
             })
             .expect("there are chunks")?;
-        Ok(best_split(&filled, bins))
+        Ok((best_split(&filled, bins), filled))
     }
 
     /// Moves the primitives of the left side to the front; gives their number and both sides' extents.
@@ -232,6 +234,15 @@ fn best_split(filled: &Bins, bins: usize) -> Option<Split> {
         }
     }
     best
+}
+
+/// Half the area in which the boxes of both sides of a split overlap.
+pub(super) fn overlap(filled: &Bins, split: &Split) -> f32 {
+    let (low, high) = filled[split.axis].split_at(split.bin as usize);
+    let bounds = |bins: &[Bin]| bins.iter().fold(Bounds::EMPTY, |b, bin| b.union(bin.bounds));
+    let shared = bounds(low).intersection(bounds(high));
+    let is_empty = shared.min.truncate().cmpgt(shared.max.truncate()).any();
+    if is_empty { 0.0 } else { shared.half_area() }
 }
 
 fn partition(refs: &mut [PrimRef], goes_left: impl Fn(&PrimRef) -> bool) -> (usize, Extent, Extent) {
