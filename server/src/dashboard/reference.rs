@@ -10,6 +10,7 @@ use super::filters;
 use super::overview::base_url;
 use super::page::{Page, PageError};
 use super::schema::{SchemaDoc, TypeName, example, pretty, text_of};
+use crate::problems::Code;
 
 #[derive(Template)]
 #[template(path = "reference.html")]
@@ -19,6 +20,7 @@ struct Reference {
     version: String,
     description: String,
     tags: Vec<Tag>,
+    problems: [Code; Code::ALL.len()],
     schemas: Vec<SchemaDoc>,
     base_url: String,
 }
@@ -77,6 +79,7 @@ impl Reference {
             version: text_of(info, "version"),
             description: text_of(info, "description"),
             tags: tags(document, schemas, &base_url),
+            problems: Code::ALL,
             schemas: schemas.keys().map(|name| SchemaDoc::new(name, schemas)).collect(),
             base_url,
         }

@@ -321,6 +321,7 @@ async fn the_reference_lists_operations_schemas_and_commands() {
         "curl -X POST &#34;http://farm.example:8080/v1/jobs&#34;",
         "http://farm.example:8080/v1/scenes/$ID",
         "<code>glTF</code>",
+        "<code>/problems/invalid-fields</code>",
     ] {
         assert!(body.contains(part), "no {part}");
     }
