@@ -29,7 +29,7 @@ impl Browser {
         let lines = BufReader::new(driver.stdout.take().expect("its output is piped")).lines();
         let port: u16 = lines
             .map_while(Result::ok)
-            .find_map(|line| line.rsplit_once("on port ")?.1.trim_end_matches('.').parse().ok())
+            .find_map(|line| line.rsplit_once("started successfully on port ")?.1.trim_end_matches('.').parse().ok())
             .expect("chromedriver says its port");
         let http = reqwest::Client::new();
         let chrome = json!({"args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,1600"]});
