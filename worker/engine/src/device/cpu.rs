@@ -209,3 +209,119 @@ fn store(aov: Aov, layer: &mut AovLayer, i: usize, hit: &FirstHit) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicUsize;
+
+    use glam::{Affine3A, Vec3};
+
+    use super::*;
+    use crate::film::{decode_part, encode_part, merge_aovs, merge_films};
+    use crate::integrate::tests::{camera, glow, matte, prepare, scene, settings, sphere, square};
+
+    fn job() -> (Arc<PackedScene>, RenderSettings) {
+        let lamp = Affine3A::from_translation(Vec3::new(0.5, 1.0, 3.0));
+        let scene = scene(vec![
+            (square(), matte(0.8, 0.5), Affine3A::from_scale(Vec3::splat(2.0))),
+            (sphere(), matte(0.5, 0.2), Affine3A::from_translation(Vec3::Z)),
+            (square(), glow(Vec3::splat(4.0)), lamp * Affine3A::from_scale(Vec3::splat(0.3))),
+        ]);
+        let view = camera(Vec3::ZERO, Vec3::new(0.6, 0.0, 0.8), 9.0, 2.5);
+        let mut settings = settings(Integrator::Path { max_bounces: 4 }, view, 0.2);
+        (settings.width, settings.height) = (40, 36);
+        (Arc::new(prepare(&scene, &settings)), settings)
+    }
+
+    fn render(packed: &Arc<PackedScene>, settings: &RenderSettings, passes: &[Pass], region: Region) -> PassFilm {
+        let mut film = PassFilm::new(region);
+        let mut renderer = CpuDevice::new().prepare(packed.clone(), settings).expect("the CPU takes any scene");
+        for pass in passes {
+            renderer.render(pass, &mut film, &|| false).expect("not cancelled");
+        }
+        film
+    }
+
+    #[test]
+    fn threads_tiles_and_passes_do_not_change_the_picture() {
+        let (packed, settings) = job();
+        let full = Region::full(&settings);
+        let whole = |first_sample, samples| Pass { region: full, first_sample, samples };
+        let reference = render(&packed, &settings, &[whole(0, 12)], full);
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
+            let film = pool.install(|| render(&packed, &settings, &[whole(0, 12)], full));
+            assert_eq!(film, reference, "{threads} threads");
+        }
+        let progressive = render(&packed, &settings, &[whole(0, 1), whole(1, 7), whole(8, 4)], full);
+        assert_eq!((progressive.mean(), progressive.samples), (reference.mean(), 12));
+
+        // Tiles that do not align with the device's own, the left one in two passes, through part files.
+        let left = Region { width: 13, ..full };
+        let right = Region { x: 13, width: 27, ..full };
+        let part = |region, first_sample, samples| {
+            let film = render(&packed, &settings, &[Pass { region, first_sample, samples }], region);
+            decode_part(&encode_part(&film, None)).expect("intact").0
+        };
+        let parts = [part(right, 0, 12), part(left, 5, 7), part(left, 0, 5)];
+        assert_eq!(merge_films(full, &parts).expect("complete").mean(), reference.mean());
+    }
+
+    #[test]
+    fn another_seed_gives_another_picture_of_the_same_scene() {
+        let (packed, mut settings) = job();
+        let region = Region::full(&settings);
+        let pass = Pass { region, first_sample: 0, samples: 16 };
+        let a = render(&packed, &settings, &[pass], region).mean();
+        settings.seed = 2;
+        let b = render(&packed, &settings, &[pass], region).mean();
+        assert_ne!(a, b);
+        let sum = |film: &[[f32; 3]]| film.iter().map(|p| p[1]).sum::<f32>();
+        assert!((sum(&a) / sum(&b) - 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn layers_of_tiles_merge_into_those_of_the_whole() {
+        let (packed, settings) = job();
+        let full = Region::full(&settings);
+        let mut renderer = CpuDevice::new().prepare(packed, &settings).expect("the CPU takes any scene");
+        let mut aovs = |region| {
+            let mut out = AovBuffers::new(region, &Aov::ALL);
+            let stats = renderer.aovs(region, &mut out, &|| false).expect("not cancelled");
+            assert_eq!(stats.rays.primary, region.pixels() as u64);
+            assert!(stats.counters.box_tests > 0);
+            out
+        };
+        let upper = Region { height: 20, ..full };
+        let lower = Region { y: 20, height: 16, ..full };
+        let whole = aovs(full);
+        assert_eq!(merge_aovs(full, &[aovs(upper), aovs(lower)]).expect("complete"), whole);
+        let ids = whole.layers.iter().find(|l| l.0 == Aov::InstanceId);
+        let Some((_, AovLayer::Integer(ids))) = ids else { panic!("instance ids are integers") };
+        assert!([0, 1, 2, u32::MAX].iter().all(|id| ids.contains(id)));
+    }
+
+    #[test]
+    fn cancelling_stops_soon_and_leaves_the_film_alone() {
+        let (packed, settings) = job();
+        let region = Region::full(&settings);
+        let mut film = PassFilm::new(region);
+        let mut renderer = CpuDevice::new().prepare(packed, &settings).expect("the CPU takes any scene");
+        let asked = AtomicUsize::new(0);
+        let cancel = || asked.fetch_add(1, Ordering::Relaxed) >= 100;
+        let result = renderer.render(&Pass { region, first_sample: 0, samples: 4 }, &mut film, &cancel);
+        assert!(matches!(result, Err(DeviceError::Cancelled)));
+        assert!(asked.load(Ordering::Relaxed) < 200);
+        assert_eq!(film, PassFilm::new(region));
+    }
+
+    #[test]
+    fn passes_outside_of_the_film_are_refused() {
+        let (packed, settings) = job();
+        let mut film = PassFilm::new(Region { x: 8, y: 0, width: 8, height: 8 });
+        let mut renderer = CpuDevice::new().prepare(packed, &settings).expect("the CPU takes any scene");
+        let region = Region { x: 0, y: 0, width: 8, height: 8 };
+        let result = renderer.render(&Pass { region, first_sample: 0, samples: 1 }, &mut film, &|| false);
+        assert!(matches!(result, Err(DeviceError::Other(message)) if message.contains("the pass covers")));
+    }
+}

@@ -134,3 +134,60 @@ impl PackedScene {
         if self.bounds.is_empty() { Vec3::ZERO } else { self.bounds.center() }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::Affine3A;
+
+    use super::*;
+    use crate::integrate::tests::{camera, matte, scene, settings, square};
+    use crate::scene::{Image, Texture, TextureRef};
+    use crate::settings::Integrator;
+
+    fn error(change: impl Fn(&mut Scene, &mut RenderSettings)) -> String {
+        let mut scene = scene(vec![(square(), matte(0.5, 1.0), Affine3A::IDENTITY)]);
+        let mut settings = settings(Integrator::Direct, camera(Vec3::ZERO, Vec3::Z, 3.0, 1.0), 0.0);
+        change(&mut scene, &mut settings);
+        let accel = SceneAccel::build(Vec::new(), &[]);
+        pack(&scene, &settings, Arc::new(accel)).map(|_| ()).expect_err("must be refused").to_string()
+    }
+
+    #[test]
+    fn contradictions_are_named() {
+        assert_eq!(error(|_, s| s.width = 0), "width, height: is 0x32, must be at least 1x1 pixel");
+        let e = error(|s, _| s.instances[0].materials[0] = 7);
+        assert_eq!(e, "instance 0 (\"\"): names material 7 of 1");
+        let e = error(|s, _| s.instances[0].materials.clear());
+        assert_eq!(e, "instance 0 (\"\"): has materials for 0 of the mesh's slots");
+        let e = error(|s, _| Arc::make_mut(&mut s.meshes[0]).triangles[1][2] = 4);
+        assert_eq!(e, "mesh \"\": triangle 1 names a vertex beyond the 4 there are");
+        let e = error(|s, _| Arc::make_mut(&mut s.meshes[0]).normals = vec![Vec3::Z]);
+        assert_eq!(e, "mesh \"\": normals are 1 for 4 vertices");
+        let used = Some(TextureRef { texture: 3, uv_set: 0, transform: TextureRef::IDENTITY });
+        let e = error(|s, _| s.materials[0].normal_texture = used);
+        assert_eq!(e, "material \"\": names texture 3 of 0");
+        let e = error(|_, s| s.environment = crate::settings::Environment::Constant(Vec3::splat(f32::NAN)));
+        assert_eq!(e, "environment: radiance is [NaN, NaN, NaN], must be finite and not negative");
+    }
+
+    #[test]
+    fn images_are_stored_once_however_often_they_are_used() {
+        let used = Some(TextureRef { texture: 0, uv_set: 0, transform: TextureRef::IDENTITY });
+        let material = crate::scene::Material {
+            base_color_texture: used,
+            emissive_texture: used,
+            metallic_roughness_texture: used,
+            ..matte(0.5, 1.0)
+        };
+        let mut scene = scene(vec![(square(), material, Affine3A::IDENTITY)]);
+        let rgba8 = vec![1, 2, 3, 4, 5, 6, 7, 8];
+        scene.images.push(Arc::new(Image { name: String::new(), width: 2, height: 1, rgba8 }));
+        let wrap = Default::default();
+        scene.textures.push(Texture { image: 0, wrap_u: wrap, wrap_v: wrap, filter: Default::default() });
+        let packed = materials::pack_materials(&scene).expect("consistent");
+        assert_eq!(packed.texels, [0x0403_0201, 0x0807_0605]);
+        // Two uses: decoded from sRGB and not.
+        assert_eq!(packed.textures.len(), 2);
+        assert_eq!(packed.materials[0].base_color_texture, packed.materials[0].emissive_texture);
+    }
+}

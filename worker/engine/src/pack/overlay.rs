@@ -95,3 +95,41 @@ fn ground_mesh() -> Mesh {
     mesh.hash = mesh_hash(&mesh);
     mesh
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::integrate::tests::{camera, matte, scene, settings, sphere};
+    use crate::settings::Integrator;
+
+    fn with_ground(height: Option<f32>) -> Scene {
+        let base = scene(vec![(sphere(), matte(0.5, 1.0), Affine3A::from_translation(Vec3::new(3.0, 5.0, 0.0)))]);
+        let mut settings = settings(Integrator::Direct, camera(Vec3::ZERO, Vec3::Z, 3.0, 1.0), 0.0);
+        settings.ground = Some(Ground { height, half_size: None, albedo: Vec3::new(0.1, 0.2, 0.3), roughness: 0.7 });
+        with_overlays(&base, &settings)
+    }
+
+    #[test]
+    fn the_ground_lies_under_the_scene_and_reaches_twenty_radii() {
+        let scene = with_ground(None);
+        assert_eq!((scene.meshes.len(), scene.instances.len(), scene.materials.len()), (2, 2, 2));
+        let bounds = scene.instance_bounds(&scene.instances[1]);
+        let radius = 3f32.sqrt();
+        assert!((bounds.min.y - 4.0).abs() < 1e-3 && bounds.min.y < 4.0, "{bounds:?}");
+        assert!((bounds.extent().x - 40.0 * radius).abs() < 1e-3 && (bounds.center().x - 3.0).abs() < 1e-4);
+        assert_eq!(scene.materials[1].base_color, [0.1, 0.2, 0.3, 1.0]);
+        assert_eq!(with_ground(Some(-2.0)).instance_bounds(&with_ground(Some(-2.0)).instances[1]).min.y, -2.0);
+    }
+
+    #[test]
+    fn every_ground_is_the_same_mesh() {
+        assert_eq!(with_ground(None).meshes[1].hash, with_ground(Some(9.0)).meshes[1].hash);
+    }
+
+    #[test]
+    fn only_instances_with_alpha_are_filtered() {
+        let mut scene = with_ground(None);
+        scene.materials[0].alpha_mode = AlphaMode::Mask;
+        assert_eq!(placements(&scene).iter().map(|p| p.filtered).collect::<Vec<_>>(), [true, false]);
+    }
+}
