@@ -11,7 +11,8 @@ use crate::scene::Aabb;
 /// enough to walk any [`Bvh2`].
 pub const MAX_DEPTH: u32 = 64;
 
-/// A binary BVH, nodes in depth-first order: the left child of inner node `i` is `i + 1`.
+/// A binary BVH, nodes in depth-first order: the left child of inner node `i` is `i + 1`. Builders make leaves of at most
+/// four primitives, and of one instance in a top level.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bvh2 {
     /// Node 0 is the root; empty for a mesh without primitives.

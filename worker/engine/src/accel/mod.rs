@@ -89,12 +89,11 @@ impl MeshStructure {
     /// The mesh's indices must be in range. Primitives with a NaN or an infinity are left out.
     pub fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> Result<Self, BuildError> {
         let bvh2 = build::build(mesh, params, cancel)?;
-        build::check(cancel)?;
-        Self::from_bvh2(bvh2, mesh).map_err(BuildError::Unsupported)
+        Self::from_bvh2(bvh2, mesh, cancel)
     }
 
-    fn from_bvh2(bvh2: Bvh2, mesh: &Mesh) -> Result<Self, String> {
-        let wide = WideBvh::over_mesh(&bvh2, mesh)?;
+    fn from_bvh2(bvh2: Bvh2, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self, BuildError> {
+        let wide = WideBvh::over_mesh(&bvh2, mesh, cancel)?;
         Ok(Self { mesh: mesh.hash, bvh2, wide })
     }
 
@@ -122,7 +121,7 @@ impl MeshStructure {
     /// anything is made of it. The wide tree is made anew: that takes less time than to read it would.
     pub fn decode(bytes: &[u8], mesh: &Mesh) -> Result<Self, CorruptStructure> {
         let bvh2 = store::decode(bytes, mesh).map_err(CorruptStructure)?;
-        Self::from_bvh2(bvh2, mesh).map_err(CorruptStructure)
+        Self::from_bvh2(bvh2, mesh, &AtomicBool::new(false)).map_err(|error| CorruptStructure(error.to_string()))
     }
 
     /// Checks that every primitive is referenced and lies in its leaves' boxes, that boxes are finite and nested, and

@@ -5,10 +5,14 @@
 //! section 3). A node keeps, for each of the eight direction octants, the order in which to visit its children
 //! (Fuetterling, Lojewski, Pfreundt, Ebert 2017, "Accelerated single ray tracing for wide vector units").
 
+use std::sync::atomic::AtomicBool;
+
 use bytemuck::Zeroable;
 use glam::Vec3A;
 use rayon::prelude::*;
 
+use super::BuildError;
+use super::build::check;
 use super::bvh2::{Bvh2, Bvh2Node};
 use crate::scene::Mesh;
 
@@ -20,6 +24,8 @@ pub(crate) const LANES: usize = 4;
 const NODE_COST: f32 = 1.0;
 /// A subtree of a mesh with more primitives never becomes a leaf.
 const MAX_LEAF_PRIMITIVES: u32 = 8;
+/// Whoever cancels is asked after so many nodes.
+const CHECKED_NODES: usize = 16384;
 
 /// Eight boxes side by side. A slot that is not used has an inverted box, which no ray meets.
 #[repr(C, align(64))]
@@ -41,11 +47,12 @@ pub(crate) struct ChildRef(pub u32);
 impl ChildRef {
     const LEAF: u32 = 1 << 31;
     const COUNT_SHIFT: u32 = 27;
+    const MAX_COUNT: u32 = 16;
     const FIRST_MASK: u32 = (1 << Self::COUNT_SHIFT) - 1;
     pub(crate) const ROOT: Self = Self(0);
     const UNUSED: Self = Self(u32::MAX);
 
-    /// `count` is 1 to 16; a `first` beyond 2^27 is refused by [`plan`].
+    /// `count` is 1 to [`Self::MAX_COUNT`]; a `first` beyond 2^27 is refused by [`plan`].
     fn leaf(first: u32, count: u32) -> Self {
         Self(Self::LEAF | (count - 1) << Self::COUNT_SHIFT | first)
     }
@@ -84,17 +91,18 @@ pub(crate) struct WideBvh {
 }
 
 impl WideBvh {
-    pub(super) fn over_mesh(bvh2: &Bvh2, mesh: &Mesh) -> Result<Self, String> {
+    pub(super) fn over_mesh(bvh2: &Bvh2, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self, BuildError> {
         let triangle_count = mesh.triangles.len() as u32;
         let packets_of = |primitives: &[u32]| {
             let spheres =
                 if mesh.spheres.is_empty() { 0 } else { primitives.iter().filter(|&&p| p >= triangle_count).count() };
             spheres.div_ceil(LANES) + (primitives.len() - spheres).div_ceil(LANES)
         };
-        let (plan, leaves) = plan(bvh2, MAX_LEAF_PRIMITIVES, |primitives| packets_of(primitives) as u32)?;
+        let (plan, leaves) = plan(bvh2, MAX_LEAF_PRIMITIVES, |primitives| packets_of(primitives) as u32, cancel)?;
+        let nodes = emit(&plan, bvh2, cancel)?;
         let mut packets = fresh(leaves.iter().map(|leaf| leaf.entries as usize).sum());
-        fill_packets(&leaves, &mut packets, bvh2, mesh);
-        Ok(Self { nodes: emit(&plan, bvh2), packets, triangle_count })
+        fill_packets(&leaves, &mut packets, bvh2, mesh, cancel)?;
+        Ok(Self { nodes, packets, triangle_count })
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -103,11 +111,12 @@ impl WideBvh {
 }
 
 /// The wide nodes over a tree of instances, and the instance of each leaf entry.
-pub(super) fn over_instances(bvh2: &Bvh2) -> Result<(Vec<Node>, Vec<u32>), String> {
+pub(super) fn over_instances(bvh2: &Bvh2) -> Result<(Vec<Node>, Vec<u32>), BuildError> {
     // Each instance is entered for itself, which costs several node visits: leaves of one.
-    let (plan, leaves) = plan(bvh2, 1, |primitives| primitives.len() as u32)?;
+    let never = AtomicBool::new(false);
+    let (plan, leaves) = plan(bvh2, 1, |primitives| primitives.len() as u32, &never)?;
     let entries = leaves.iter().flat_map(|leaf| leaf.primitives(bvh2)).copied().collect();
-    Ok((emit(&plan, bvh2), entries))
+    Ok((emit(&plan, bvh2, &never)?, entries))
 }
 
 #[derive(Clone, Copy)]
@@ -151,11 +160,12 @@ fn plan(
     bvh2: &Bvh2,
     max_leaf: u32,
     entries: impl Fn(&[u32]) -> u32 + Sync,
-) -> Result<(Vec<PlannedNode>, Vec<Leaf>), String> {
+    cancel: &AtomicBool,
+) -> Result<(Vec<PlannedNode>, Vec<Leaf>), BuildError> {
     if bvh2.nodes.is_empty() {
         return Ok((Vec::new(), Vec::new()));
     }
-    let choices = Chooser::new(bvh2, max_leaf, &entries).choose();
+    let choices = Chooser::new(bvh2, max_leaf, &entries, cancel).choose()?;
     let mut nodes: Vec<PlannedNode> = Vec::with_capacity(bvh2.nodes.len() / 6 + 1);
     let mut leaves = Vec::with_capacity(bvh2.nodes.len() / 2 + 1);
     let mut next_entry = 0_u32;
@@ -163,6 +173,9 @@ fn plan(
     let mut pending: Vec<(u32, Option<(usize, usize)>)> = vec![(0, None)];
     while let Some((source, from)) = pending.pop() {
         let number = nodes.len();
+        if number.is_multiple_of(CHECKED_NODES) {
+            check(cancel)?;
+        }
         if let Some((parent, slot)) = from {
             nodes[parent].children[slot] = ChildRef(number as u32);
         }
@@ -184,8 +197,12 @@ fn plan(
             if choice.is_leaf {
                 let primitives = &bvh2.primitives[choice.first as usize..(choice.first + choice.count) as usize];
                 let entries = entries(primitives);
-                if next_entry + entries > ChildRef::FIRST_MASK || entries > 16 {
-                    return Err("too many primitives for one structure".into());
+                if next_entry + entries > ChildRef::FIRST_MASK || entries > ChildRef::MAX_COUNT {
+                    return Err(BuildError::Unsupported(format!(
+                        "a structure holds at most {} leaf entries, {} in one leaf",
+                        ChildRef::FIRST_MASK,
+                        ChildRef::MAX_COUNT
+                    )));
                 }
                 node.children[slot] = ChildRef::leaf(next_entry, entries);
                 leaves.push(Leaf { first: choice.first, count: choice.count, entries });
@@ -207,37 +224,36 @@ struct Chooser<'a, E> {
     entries: &'a E,
     /// Areas are taken relative to the root, so that they do not overflow.
     scale: f32,
+    cancel: &'a AtomicBool,
 }
 
 impl<'a, E: Fn(&[u32]) -> u32 + Sync> Chooser<'a, E> {
-    /// Subtrees with fewer nodes are left to one thread.
-    const PARALLEL_NODES: usize = 16384;
-
-    fn new(bvh2: &'a Bvh2, max_leaf: u32, entries: &'a E) -> Self {
+    fn new(bvh2: &'a Bvh2, max_leaf: u32, entries: &'a E, cancel: &'a AtomicBool) -> Self {
         let bounds = bvh2.bounds();
         let extent = bounds.max.as_dvec3() - bounds.min.as_dvec3();
         let scale = if extent.max_element() > 0.0 { (1.0 / extent.max_element()) as f32 } else { 1.0 };
-        Self { bvh2, max_leaf, entries, scale }
+        Self { bvh2, max_leaf, entries, scale, cancel }
     }
 
-    fn choose(&self) -> Vec<Choice> {
+    fn choose(&self) -> Result<Vec<Choice>, BuildError> {
         let mut choices = vec![Choice::default(); self.bvh2.nodes.len()];
-        self.choose_subtree(0, &mut choices);
-        choices
+        self.choose_subtree(0, &mut choices)?;
+        Ok(choices)
     }
 
     /// `choices` are those of the subtree's nodes, which are the nodes from `root` on.
-    fn choose_subtree(&self, root: usize, choices: &mut [Choice]) {
-        if choices.len() < Self::PARALLEL_NODES {
+    fn choose_subtree(&self, root: usize, choices: &mut [Choice]) -> Result<(), BuildError> {
+        if choices.len() < CHECKED_NODES {
             for at in (0..choices.len()).rev() {
                 choices[at] = self.choice(root + at, root, choices);
             }
-            return;
+            return check(self.cancel);
         }
         let right = self.bvh2.nodes[root].right_or_first as usize;
         let (low, high) = choices[1..].split_at_mut(right - root - 1);
-        rayon::join(|| self.choose_subtree(root + 1, low), || self.choose_subtree(right, high));
+        let (low, high) = rayon::join(|| self.choose_subtree(root + 1, low), || self.choose_subtree(right, high));
         choices[0] = self.choice(root, root, choices);
+        low.and(high)
     }
 
     /// The choice for node `index`; `choices`, which start at node `first`, hold its children's.
@@ -308,9 +324,10 @@ fn distribute(bvh2: &Bvh2, choices: &[Choice], node: u32, roots: usize, found: &
     }
 }
 
-fn emit(plan: &[PlannedNode], bvh2: &Bvh2) -> Vec<Node> {
+fn emit(plan: &[PlannedNode], bvh2: &Bvh2, cancel: &AtomicBool) -> Result<Vec<Node>, BuildError> {
     let mut nodes: Vec<Node> = fresh(plan.len());
-    nodes.par_iter_mut().zip(plan).with_min_len(1024).for_each(|(node, planned)| {
+    nodes.par_iter_mut().zip(plan).with_min_len(1024).try_for_each(|(node, planned)| {
+        check(cancel)?;
         node.bounds = [
             [f32::INFINITY; WIDTH],
             [f32::INFINITY; WIDTH],
@@ -330,8 +347,9 @@ fn emit(plan: &[PlannedNode], bvh2: &Bvh2) -> Vec<Node> {
         }
         node.children = planned.children.map(|child| child.0);
         node.order = visit_order(&centers);
-    });
-    nodes
+        Ok(())
+    })?;
+    Ok(nodes)
 }
 
 /// For each octant the slots from the farthest to the nearest centre, as [`Node::order`] wants them.
@@ -360,12 +378,22 @@ fn visit_order(centers: &[[f32; 3]; WIDTH]) -> [u32; WIDTH] {
     order
 }
 
-fn fill_packets(leaves: &[Leaf], packets: &mut [Packet], bvh2: &Bvh2, mesh: &Mesh) {
+fn fill_packets(
+    leaves: &[Leaf],
+    packets: &mut [Packet],
+    bvh2: &Bvh2,
+    mesh: &Mesh,
+    cancel: &AtomicBool,
+) -> Result<(), BuildError> {
+    check(cancel)?;
     if leaves.len() > 4096 {
         let (low, high) = leaves.split_at(leaves.len() / 2);
         let (low_packets, high_packets) = packets.split_at_mut(low.iter().map(|leaf| leaf.entries as usize).sum());
-        rayon::join(|| fill_packets(low, low_packets, bvh2, mesh), || fill_packets(high, high_packets, bvh2, mesh));
-        return;
+        let (low, high) = rayon::join(
+            || fill_packets(low, low_packets, bvh2, mesh, cancel),
+            || fill_packets(high, high_packets, bvh2, mesh, cancel),
+        );
+        return low.and(high);
     }
     let mut rest = packets.iter_mut();
     for leaf in leaves {
@@ -387,6 +415,7 @@ fn fill_packets(leaves: &[Leaf], packets: &mut [Packet], bvh2: &Bvh2, mesh: &Mes
             }
         }
     }
+    Ok(())
 }
 
 /// Puts a primitive into a lane and, without its number, into all lanes behind.

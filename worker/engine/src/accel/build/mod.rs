@@ -49,7 +49,7 @@ pub(super) fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> R
     }
     let mut refs = Vec::with_capacity(mesh.primitive_count());
     for primitive in 0..mesh.primitive_count() {
-        if primitive % 65536 == 0 {
+        if primitive.is_multiple_of(65536) {
             check(cancel)?;
         }
         let bounds = primitive_bounds(mesh, primitive);
