@@ -163,8 +163,8 @@ pub(super) fn soup(amounts: &Amounts) -> GlbWriter {
             2 => [a, a + u * 0.5, a + u * 0.5 + v * 1e-4],
             // A speck.
             3 => [a, a + u * 1e-5, a + v * 1e-5],
-            // A giant through everything.
-            4 if rng.below(50) == 0 => [a + u * 4.0, a + v * 4.0, a - (u + v) * 4.0],
+            // A giant through half of the others.
+            4 if rng.below(50) == 0 => [a + u * 1.5, a + v * 1.5, a - (u + v) * 1.5],
             // The previous one once more, turned around.
             5 => [previous[0], previous[2], previous[1]],
             // Without area: two corners in one place, or all on a line.

@@ -55,8 +55,8 @@ fn room(glb: &mut GlbWriter, seed: u64) {
     let plaster = glb.material(&matte("plaster", [0.70, 0.42, 0.29]));
     let white = glb.material(&matte("white", [0.78, 0.76, 0.72]));
     let blue = glb.material(&matte("blue wall", [0.16, 0.30, 0.36]));
-    let window = glb.material(&light("window", [0.82, 0.92, 1.0], 7.0));
-    let lamp = glb.material(&light("lamp", [1.0, 0.74, 0.44], 14.0));
+    let window = glb.material(&light("window", [0.82, 0.92, 1.0], 12.0));
+    let lamp = glb.material(&light("lamp", [1.0, 0.74, 0.44], 18.0));
 
     const WIDTH: f32 = 3.4;
     const HEIGHT: f32 = 3.6;

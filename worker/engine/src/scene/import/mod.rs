@@ -20,6 +20,9 @@ mod transform;
 mod warnings;
 
 #[cfg(test)]
+mod tests;
+
+#[cfg(test)]
 pub(super) use primitive::face_normal;
 
 use std::borrow::Cow;
