@@ -41,7 +41,7 @@ run: compiler ## Builds, starts service and worker, renders a demo scene and pri
 	"$$lightshaft" scene generate demo -o $(DATA)/demo.glb
 	id() { sed -n 's/^[{ ]*"id": *"\([^"]*\)".*/\1/p' | head -n 1; }
 	scene=$$("$$lightshaft" --json scene upload $(DATA)/demo.glb | id)
-	job=$$("$$lightshaft" --json job submit "$$scene" --width 960 --height 540 --spp 64 | id)
+	job=$$("$$lightshaft" --json job submit "$$scene" --width 800 --height 450 --spp 32 | id)
 	"$$lightshaft" job watch "$$job" || failed "job $$job failed"
 	echo
 	echo "The picture is on  $$server/jobs/$$job"

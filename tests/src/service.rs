@@ -56,6 +56,8 @@ impl Service {
         let (child, url) = spawn(self.folder.path(), &listen, &self.args);
         self.child = child;
         self.url = url;
+        // The old client may hold connections to the dead process.
+        self.http = reqwest::Client::new();
     }
 
     pub fn url(&self) -> &str {

@@ -1,0 +1,55 @@
+//! The same job on both devices, and jobs for devices that are not there. `make test` installs lavapipe.
+
+use lightshaft_tests::{Service, binary, picture};
+use serde_json::json;
+
+#[tokio::test]
+async fn both_devices_give_the_same_picture() {
+    let service = Service::start();
+    for (kind, integrator) in [
+        ("cornell-box", "path"),
+        ("demo", "path"),
+        ("foliage-cards", "direct"),
+        ("sphere-flake", "whitted"),
+        ("demo", "ao"),
+    ] {
+        let scene = service.generated(&[kind]).await;
+        let settings =
+            |device: &str| json!({"width": 96, "height": 72, "spp": 8, "integrator": integrator, "device": device});
+        let cpu = service.render(&scene, settings("cpu")).await;
+        let gpu = service.render(&scene, settings("gpu")).await;
+        assert_eq!(cpu["metrics"]["device_kind"], "cpu");
+        assert_eq!(gpu["metrics"]["device_kind"], "gpu");
+        let pictures = (service.artifact(&cpu, "image.png").await, service.artifact(&gpu, "image.png").await);
+        let report = picture::against(&picture::png(&pictures.0), &picture::png(&pictures.1)).report;
+        assert!(report.flip_mean < 0.01, "{kind} by {integrator}: {report:?}");
+        let ratio = report.differences.mean_ratio.expect("a picture that is not black");
+        assert!((ratio - 1.0).abs() < 0.005, "{kind} by {integrator}: {report:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_job_that_no_worker_can_do_waits_and_the_status_says_so() {
+    let service = Service::start_with(&["--device", "cpu"]);
+    let scene = service.generated(&["cornell-box"]).await;
+    service.render(&scene, json!({"width": 16, "height": 16, "spp": 1})).await;
+    let id = service.submit(&scene, json!({"width": 16, "height": 16, "spp": 1, "device": "gpu"})).await;
+    service
+        .until("the status to say waiting", async || {
+            (service.get("/v1/status").await.json()["state"] == "waiting").then_some(())
+        })
+        .await;
+    assert_eq!(service.job(&id).await["state"], "queued");
+    service.render(&scene, json!({"width": 16, "height": 16, "spp": 2, "device": "cpu"})).await;
+}
+
+#[test]
+fn an_adapter_that_is_not_there_is_an_error_with_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (folder.path().join("s.glb"), folder.path().join("o.png"));
+    let (scene, out) = (scene.to_str().unwrap(), out.to_str().unwrap());
+    binary::run_ok(&["scene", "generate", "cornell-box", "-o", scene]);
+    let output = binary::run(&["render", scene, "-o", out, "--device", "gpu", "--adapter", "Voodoo 2"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && stderr.contains("Voodoo 2"), "{stderr}");
+}

@@ -1,0 +1,12 @@
+//! Lightshaft from the outside: the real binary, HTTP, signals, a browser.
+
+mod bad_requests;
+mod bad_uploads;
+mod command_line;
+mod dashboard;
+mod devices;
+mod documentation;
+mod failures;
+mod http;
+mod jobs;
+mod scenes;
