@@ -14,5 +14,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let slot = queue[id.x + 1u];
+    begin_filter(slot);
     hits[slot] = trace(rays[slot]).hit;
 }

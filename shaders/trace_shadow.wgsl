@@ -14,6 +14,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let slot = queue[id.x + 1u];
+    begin_filter(slot);
     if trace(rays[slot]).hit.instance == NONE {
         radiance[slot] += contributions[slot];
     }

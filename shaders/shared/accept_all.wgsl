@@ -1,5 +1,7 @@
 // Hit filter of scenes without alpha: every hit counts.
 
-fn accept(filtered: bool, hit: Hit) -> bool {
+fn begin_filter(slot: u32) {}
+
+fn accept(filtered: bool, ray: Ray, hit: Hit) -> bool {
     return true;
 }

@@ -5,14 +5,16 @@
 // without marks in 24..31 the lower bits mark leaf entries. A node adds at most one group, so STACK_SIZE, the depth
 // of top level and deepest mesh plus two, cannot overflow.
 //
-// Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), COUNTING.
+// Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), FILTERED
+// (some placements' hits go through the alpha filter), COUNTING.
 
 //!include rays
 //!include intersect
 //!pool nodes
 //!pool prims
 
-// An instance as a leaf entry of the top level: rows of world-to-object, then (root node, instance, flags, 0).
+// An instance as a leaf entry of the top level: rows of the inverse 3x3 matrix, each with a component of the translation
+// that comes off before it; then (root node, instance, flags, 0).
 @group(0) @binding(8) var<storage, read> placements: array<vec4<u32>>;
 
 const PLACEMENT_FILTERED = 1u;
@@ -38,22 +40,21 @@ fn byte_lanes(word: u32) -> vec4<u32> {
 // Tests four children. `near` and `far` are their quantised planes on the side where the ray enters and leaves.
 fn hit_bits(
     meta_word: u32, near_x: u32, near_y: u32, near_z: u32, far_x: u32, far_y: u32, far_z: u32,
-    scale: vec3<f32>, origin: vec3<f32>, t_min: f32, t_max: f32, octant4: u32,
+    scale: vec3<f32>, enter: vec3<f32>, leave: vec3<f32>, t_min: f32, t_max: f32, octant4: u32,
 ) -> u32 {
-    let enter_x = vec4<f32>(byte_lanes(near_x)) * scale.x + origin.x;
-    let enter_y = vec4<f32>(byte_lanes(near_y)) * scale.y + origin.y;
-    let enter_z = vec4<f32>(byte_lanes(near_z)) * scale.z + origin.z;
-    let leave_x = vec4<f32>(byte_lanes(far_x)) * scale.x + origin.x;
-    let leave_y = vec4<f32>(byte_lanes(far_y)) * scale.y + origin.y;
-    let leave_z = vec4<f32>(byte_lanes(far_z)) * scale.z + origin.z;
-    let enter = max(max(enter_x, enter_y), max(enter_z, vec4<f32>(t_min)));
-    // Rounding upwards: a box must not be missed by the last bits (Ize 2013).
-    let leave = min(min(leave_x, leave_y), min(leave_z, vec4<f32>(t_max))) * 1.0000005;
+    let enter_x = vec4<f32>(byte_lanes(near_x)) * scale.x + enter.x;
+    let enter_y = vec4<f32>(byte_lanes(near_y)) * scale.y + enter.y;
+    let enter_z = vec4<f32>(byte_lanes(near_z)) * scale.z + enter.z;
+    let leave_x = vec4<f32>(byte_lanes(far_x)) * scale.x + leave.x;
+    let leave_y = vec4<f32>(byte_lanes(far_y)) * scale.y + leave.y;
+    let leave_z = vec4<f32>(byte_lanes(far_z)) * scale.z + leave.z;
+    let first = max(max(enter_x, enter_y), max(enter_z, vec4<f32>(t_min)));
+    let last = min(min(leave_x, leave_y), min(leave_z, vec4<f32>(t_max)));
     let is_inner = (meta_word & (meta_word << 1u)) & 0x10101010u;
     let inner_mask = (is_inner >> 4u) * 0xffu;
     let index = byte_lanes((meta_word ^ (octant4 & inner_mask)) & 0x1f1f1f1fu);
     let bits = byte_lanes((meta_word >> 5u) & 0x07070707u);
-    let found = select(vec4<u32>(0u), bits << index, enter <= leave);
+    let found = select(vec4<u32>(0u), bits << index, first <= last);
     return found.x | found.y | found.z | found.w;
 }
 
@@ -66,7 +67,15 @@ fn visit(node: u32, ray: TraceRay, t_min: f32, t_max: f32, octant: u32) -> Group
     let e = n0.w;
     let scale = bitcast<vec3<f32>>(vec3<u32>((e & 0xffu) << 23u, (e << 15u) & 0x7f800000u, (e << 7u) & 0x7f800000u))
         * ray.inverse;
-    let origin = (bitcast<vec3<f32>>(n0.xyz) - ray.origin) * ray.inverse;
+    // Primitive tests round coordinates relative to the ray's origin a few times, these slabs as often: boxes grow by
+    // twice that, in proportion to how far away they are (after Ize 2013, "Robust BVH Ray Traversal"). The part that
+    // goes with the node's own extent is in the quantised planes.
+    let offset = bitcast<vec3<f32>>(n0.xyz) - ray.origin;
+    let reach = max(abs(offset.x), max(abs(offset.y), abs(offset.z)));
+    let slack = (reach * 4.8e-7) * abs(ray.inverse);
+    let origin = offset * ray.inverse;
+    let enter = origin - slack;
+    let leave = origin + slack;
     let negative = ray.inverse < vec3<f32>(0.0);
     let octant4 = octant * 0x01010101u;
     let lx = n2.xy;
@@ -81,8 +90,8 @@ fn visit(node: u32, ray: TraceRay, t_min: f32, t_max: f32, octant: u32) -> Group
     let far_x = select(hx, lx, negative.x);
     let far_y = select(hy, ly, negative.y);
     let far_z = select(hz, lz, negative.z);
-    let bits = hit_bits(n1.z, near_x.x, near_y.x, near_z.x, far_x.x, far_y.x, far_z.x, scale, origin, t_min, t_max, octant4)
-        | hit_bits(n1.w, near_x.y, near_y.y, near_z.y, far_x.y, far_y.y, far_z.y, scale, origin, t_min, t_max, octant4);
+    let bits = hit_bits(n1.z, near_x.x, near_y.x, near_z.x, far_x.x, far_y.x, far_z.x, scale, enter, leave, t_min, t_max, octant4)
+        | hit_bits(n1.w, near_x.y, near_y.y, near_z.y, far_x.y, far_y.y, far_z.y, scale, enter, leave, t_min, t_max, octant4);
     var groups: Groups;
     groups.inner = vec2<u32>(n1.x, (bits & 0xff000000u) | (e >> 24u));
     groups.leaf = vec2<u32>(n1.y, bits & 0x00ffffffu);
@@ -99,6 +108,12 @@ fn octant_of(ray: TraceRay) -> u32 {
     return positive.x | positive.y | positive.z;
 }
 
+// Whether a hit beats the best so far; of several at one distance the lowest ids count.
+fn is_nearer(t: f32, t_min: f32, best: Hit, found: bool, instance: u32, primitive: u32) -> bool {
+    let wins_tie = found && (instance < best.instance || (instance == best.instance && primitive < best.primitive));
+    return t > t_min && (t < best.t || (t == best.t && wins_tie));
+}
+
 // The nearest hit in (t_min, t_max), or with ANY_HIT some hit.
 fn trace(world: Ray) -> Trace {
     var result: Trace;
@@ -108,7 +123,6 @@ fn trace(world: Ray) -> Trace {
     var sp = 0u;
     // Stack height at which the current instance ends; NONE in the top level.
     var floor_sp = NONE;
-    var placement = 0u;
     var instance = 0u;
     var filtered = false;
     var ray = prepare_ray(world.origin, world.direction);
@@ -155,10 +169,10 @@ fn trace(world: Ray) -> Trace {
                 let r1 = bitcast<vec4<f32>>(placements[entry * 4u + 1u]);
                 let r2 = bitcast<vec4<f32>>(placements[entry * 4u + 2u]);
                 let r3 = placements[entry * 4u + 3u];
-                let o = world.origin;
+                let o = world.origin - vec3<f32>(r0.w, r1.w, r2.w);
                 let d = world.direction;
                 ray = prepare_ray(
-                    vec3<f32>(dot(r0.xyz, o) + r0.w, dot(r1.xyz, o) + r1.w, dot(r2.xyz, o) + r2.w),
+                    vec3<f32>(dot(r0.xyz, o), dot(r1.xyz, o), dot(r2.xyz, o)),
                     vec3<f32>(dot(r0.xyz, d), dot(r1.xyz, d), dot(r2.xyz, d)),
                 );
                 octant = octant_of(ray);
@@ -180,9 +194,17 @@ fn trace(world: Ray) -> Trace {
                         tuv = intersect_sphere(ray, p0.xyz, p1.x, world.t_min);
                     }
                 }
-                let nearer = tuv.x < best.t || (tuv.x == best.t && found
-                    && (instance < best.instance || (instance == best.instance && primitive < best.primitive)));
-                if tuv.x > world.t_min && nearer && accept(filtered, Hit(tuv.x, tuv.y, tuv.z, instance, primitive)) {
+                var taken = is_nearer(tuv.x, world.t_min, best, found, instance, primitive)
+                    && accept(filtered, world, Hit(tuv.x, tuv.y, tuv.z, instance, primitive));
+                if SPHERES && FILTERED {
+                    // A ray that the sphere's near wall lets through may still meet the far one.
+                    if !taken && filtered && bitcast<u32>(p1.w) == PRIMITIVE_SPHERE {
+                        tuv = intersect_sphere(ray, p0.xyz, p1.x, max(tuv.x, world.t_min));
+                        taken = is_nearer(tuv.x, world.t_min, best, found, instance, primitive)
+                            && accept(filtered, world, Hit(tuv.x, tuv.y, tuv.z, instance, primitive));
+                    }
+                }
+                if taken {
                     best = Hit(tuv.x, tuv.y, tuv.z, instance, primitive);
                     found = true;
                     if ANY_HIT {

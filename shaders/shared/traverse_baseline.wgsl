@@ -8,8 +8,6 @@
 
 @group(0) @binding(8) var<storage, read> placements: array<vec4<u32>>;
 
-const PLACEMENT_FILTERED = 1u;
-
 struct Trace {
     hit: Hit,
     box_tests: u32,
@@ -35,7 +33,6 @@ fn trace(world: Ray) -> Trace {
     var sp = 0u;
     var floor_sp = NONE;
     var instance = 0u;
-    var filtered = false;
     var ray = prepare_ray(world.origin, world.direction);
     var node = 0u;
     loop {
@@ -71,14 +68,13 @@ fn trace(world: Ray) -> Trace {
                     let r1 = bitcast<vec4<f32>>(placements[entry * 4u + 1u]);
                     let r2 = bitcast<vec4<f32>>(placements[entry * 4u + 2u]);
                     let r3 = placements[entry * 4u + 3u];
-                    let o = world.origin;
+                    let o = world.origin - vec3<f32>(r0.w, r1.w, r2.w);
                     let d = world.direction;
                     ray = prepare_ray(
-                        vec3<f32>(dot(r0.xyz, o) + r0.w, dot(r1.xyz, o) + r1.w, dot(r2.xyz, o) + r2.w),
+                        vec3<f32>(dot(r0.xyz, o), dot(r1.xyz, o), dot(r2.xyz, o)),
                         vec3<f32>(dot(r0.xyz, d), dot(r1.xyz, d), dot(r2.xyz, d)),
                     );
                     instance = r3.y;
-                    filtered = (r3.z & PLACEMENT_FILTERED) != 0u;
                     next = r3.x;
                 } else {
                     let p0 = prims_at(entry * 3u);

@@ -1,8 +1,9 @@
 //! One wgpu device with its queue, and what every user of it needs: trusted shaders, buffers that fail with a reason
 //! instead of a panic, bounded waits, and the news of a lost device.
 
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use super::adapter;
 use super::shader::Source;
@@ -22,6 +23,9 @@ pub struct Context {
     pub(super) limits: wgpu::Limits,
     checks: bool,
     failure: Failure,
+    /// Held from a submit to its end.
+    turn: Mutex<()>,
+    pipelines: Mutex<HashMap<String, wgpu::ComputePipeline>>,
 }
 
 impl Context {
@@ -48,12 +52,17 @@ impl Context {
         let uncaptured = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| fail(&uncaptured, error.to_string())));
         let checks = cfg!(test) || std::env::var_os("LIGHTSHAFT_SHADER_CHECKS").is_some_and(|v| v == "1");
-        Ok(Self { device, queue, info, limits, checks, failure })
+        Ok(Self { device, queue, info, limits, checks, failure, turn: Mutex::default(), pipelines: Mutex::default() })
+    }
+
+    /// Gives the device up, as if its driver had been reset: all work on it fails from now on.
+    pub fn destroy(&self) {
+        self.device.destroy();
     }
 
     /// Fails with [`DeviceError::Lost`] once the device is lost or in error.
     pub(super) fn check(&self) -> Result<(), DeviceError> {
-        match &*self.failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner) {
+        match &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(reason) => Err(DeviceError::Lost(reason.clone())),
             None => Ok(()),
         }
@@ -74,14 +83,14 @@ impl Context {
         unsafe { self.device.create_shader_module_trusted(descriptor, checks) }
     }
 
-    /// A buffer of at least 16 bytes; [`DeviceError::TooLarge`] when the device has no room for it.
+    /// A buffer, big enough for one element of any of our arrays even when it is empty; [`DeviceError::TooLarge`] when the device has no room for it.
     pub(super) fn buffer(
         &self,
         label: &str,
         bytes: u64,
         usage: wgpu::BufferUsages,
     ) -> Result<wgpu::Buffer, DeviceError> {
-        let size = bytes.next_multiple_of(4).max(16);
+        let size = bytes.next_multiple_of(4).max(128);
         let too_large = |limit: String| {
             DeviceError::TooLarge(format!("{label}: {} MiB do not fit on `{}` ({limit})", size >> 20, self.info.name))
         };
@@ -105,20 +114,47 @@ impl Context {
     pub(super) fn upload(&self, label: &str, bytes: &[u8]) -> Result<wgpu::Buffer, DeviceError> {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
         let buffer = self.buffer(label, bytes.len() as u64, usage)?;
-        // In pieces, so that wgpu's staging copy of a big pool stays small.
+        self.write(&buffer, 0, bytes)?;
+        Ok(buffer)
+    }
+
+    /// A uniform buffer with `bytes` in it.
+    pub(super) fn uniform(&self, label: &str, bytes: &[u8]) -> Result<wgpu::Buffer, DeviceError> {
+        let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+        let buffer = self.buffer(label, bytes.len() as u64, usage)?;
+        self.write(&buffer, 0, bytes)?;
+        Ok(buffer)
+    }
+
+    /// Writes ahead of the next submit.
+    pub(super) fn write(&self, buffer: &wgpu::Buffer, offset: u64, bytes: &[u8]) -> Result<(), DeviceError> {
+        // In pieces, so that wgpu's staging copy of a big array stays small.
         const PIECE: usize = 16 << 20;
         for (i, piece) in bytes.chunks(PIECE).enumerate() {
-            self.queue.write_buffer(&buffer, (i * PIECE) as u64, piece);
+            self.queue.write_buffer(buffer, offset + (i * PIECE) as u64, piece);
             if bytes.len() > PIECE {
                 self.submit(self.encoder())?;
             }
         }
-        Ok(buffer)
+        Ok(())
     }
 
     /// Bytes that one storage binding may have.
     pub(super) fn binding_limit(&self) -> u64 {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
+    }
+
+    /// [`DeviceError::TooLarge`] when an array does not fit one storage binding.
+    pub(super) fn check_binding(&self, what: &str, bytes: u64) -> Result<(), DeviceError> {
+        if bytes <= self.binding_limit() {
+            return Ok(());
+        }
+        Err(DeviceError::TooLarge(format!(
+            "{what}: {} MiB, but `{}` can hold {} MiB",
+            bytes >> 20,
+            self.info.name,
+            self.binding_limit() >> 20
+        )))
     }
 
     /// A bind group of storage buffers and its layout.
@@ -128,37 +164,63 @@ impl Context {
         entries: &[wgpu::BindGroupEntry<'_>],
         read_only: bool,
     ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
+        self.bind(label, entries, wgpu::BufferBindingType::Storage { read_only })
+    }
+
+    /// A bind group of read-write storage buffers at bindings 0, 1, … and its layout.
+    pub(super) fn bind_buffers(
+        &self,
+        label: &str,
+        buffers: &[&wgpu::Buffer],
+    ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
+        self.bind(label, &numbered(buffers), wgpu::BufferBindingType::Storage { read_only: false })
+    }
+
+    /// A bind group of uniform buffers at bindings 0, 1, … and its layout.
+    pub(super) fn bind_uniforms(
+        &self,
+        label: &str,
+        buffers: &[&wgpu::Buffer],
+    ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
+        self.bind(label, &numbered(buffers), wgpu::BufferBindingType::Uniform)
+    }
+
+    fn bind(
+        &self,
+        label: &str,
+        entries: &[wgpu::BindGroupEntry<'_>],
+        ty: wgpu::BufferBindingType,
+    ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
         let layout_entries: Vec<_> = entries
             .iter()
             .map(|entry| wgpu::BindGroupLayoutEntry {
                 binding: entry.binding,
                 visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer {
-                    ty: wgpu::BufferBindingType::Storage { read_only },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
-                },
+                ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
                 count: None,
             })
             .collect();
-        let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some(label),
-            entries: &layout_entries,
-        });
-        let group =
-            self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout: &layout, entries });
+        let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &layout_entries };
+        let layout = self.device.create_bind_group_layout(&descriptor);
+        let descriptor = wgpu::BindGroupDescriptor { label: Some(label), layout: &layout, entries };
+        let group = self.device.create_bind_group(&descriptor);
         (layout, group)
     }
 
-    /// Compiles a stage for the bind groups that it uses (`None`: the stage has no such group).
+    /// The pipeline of a stage for the bind groups that it uses (`None`: the stage has no such group). Compiled once
+    /// per source: scenes differ little in what they need, and compiling costs up to half a second a stage.
     pub(super) fn pipeline(&self, source: &Source, groups: &[Option<&wgpu::BindGroupLayout>]) -> wgpu::ComputePipeline {
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipeline) = pipelines.get(&source.wgsl) {
+            return pipeline.clone();
+        }
         let module = self.shader(source);
         let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(source.stage),
             bind_group_layouts: groups,
             immediate_size: 0,
         });
-        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(source.stage),
             layout: Some(&layout),
             module: &module,
@@ -168,18 +230,24 @@ impl Context {
                 ..Default::default()
             },
             cache: None,
-        })
+        });
+        pipelines.insert(source.wgsl.clone(), pipeline.clone());
+        pipeline
     }
 
     pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
         self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Submits and waits until it is done.
-    pub(super) fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<(), DeviceError> {
+    /// Submits and waits until it is done; answers the seconds that took. Renderers that share a device take turns: so
+    /// each one's time is its own, and a wait never spans another's work.
+    pub(super) fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<f64, DeviceError> {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         self.check()?;
+        let started = Instant::now();
         let index = self.queue.submit([encoder.finish()]);
-        self.wait(index)
+        self.wait(index)?;
+        Ok(started.elapsed().as_secs_f64())
     }
 
     /// Copies `bytes` from the start of `source`, after all that was submitted.
@@ -211,7 +279,15 @@ impl Context {
     }
 }
 
+fn numbered<'a>(buffers: &[&'a wgpu::Buffer]) -> Vec<wgpu::BindGroupEntry<'a>> {
+    let entry = |(binding, buffer): (u32, &&'a wgpu::Buffer)| wgpu::BindGroupEntry {
+        binding,
+        resource: buffer.as_entire_binding(),
+    };
+    (0..).zip(buffers).map(entry).collect()
+}
+
 fn fail(failure: &Failure, reason: String) {
-    let mut slot = failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut slot = failure.lock().unwrap_or_else(PoisonError::into_inner);
     slot.get_or_insert(reason);
 }

@@ -1,14 +1,73 @@
-//! The GPU device: wgpu compute, wavefront kernels.
+//! The GPU device: wgpu compute, wavefront kernels (Laine, Karras and Aila 2013, "Megakernels Considered Harmful").
+//!
+//! The shaders are in `shaders/`, one stage per file; they repeat `integrate/` line by line, so that both devices give
+//! the same picture. Where there is no GPU, a software Vulkan such as Mesa's lavapipe runs them.
 
 mod adapter;
 mod context;
+mod layers;
 mod pool;
+mod renderer;
+mod scene;
 mod shader;
+#[cfg(test)]
+mod shader_tests;
+mod stages;
 mod structure;
 mod tracer;
 mod wide;
+
+use std::sync::Arc;
 
 pub use adapter::{REQUIRED_STORAGE_BUFFERS, adapters, is_software};
 pub use context::Context;
 pub use structure::{HostStructure, MeshView, PlacementView};
 pub use tracer::{Batch, Kernel, Tracer};
+
+use super::{Device, DeviceError, DeviceInfo, Renderer};
+use crate::pack::PackedScene;
+use crate::settings::RenderSettings;
+
+/// One adapter, opened.
+pub struct GpuDevice {
+    adapter: Option<String>,
+    context: Arc<Context>,
+}
+
+impl GpuDevice {
+    /// Opens the preferred adapter, or the first whose name contains `adapter` (case-insensitive).
+    ///
+    /// # Errors
+    /// [`DeviceError::NoAdapter`] with a list of what there is.
+    pub fn open(adapter: Option<&str>) -> Result<Self, DeviceError> {
+        Ok(Self { adapter: adapter.map(str::to_owned), context: Arc::new(Context::open(adapter)?) })
+    }
+
+    /// The device that renders on `context`, for whoever shares it.
+    pub fn with_context(context: Arc<Context>) -> Self {
+        Self { adapter: Some(context.info.name.clone()), context }
+    }
+
+    pub fn context(&self) -> &Arc<Context> {
+        &self.context
+    }
+}
+
+impl Device for GpuDevice {
+    fn info(&self) -> DeviceInfo {
+        self.context.info.clone()
+    }
+
+    fn prepare(
+        &mut self,
+        scene: Arc<PackedScene>,
+        settings: &RenderSettings,
+    ) -> Result<Box<dyn Renderer>, DeviceError> {
+        // A job before this one may have lost the device.
+        if self.context.check().is_err() {
+            self.context = Arc::new(Context::open(self.adapter.as_deref())?);
+        }
+        let renderer = renderer::GpuRenderer::new(self.context.clone(), self.adapter.clone(), scene, settings)?;
+        Ok(Box::new(renderer))
+    }
+}

@@ -57,41 +57,47 @@ pub(super) struct Pool {
 }
 
 impl Pool {
-    /// Uploads `bytes`, elements of `stride` bytes (a power of two).
+    /// Uploads `parts`, one after the other: elements of `stride` bytes (a power of two).
     pub(super) fn upload(
         context: &Context,
         name: &'static str,
         element: &'static str,
         (group, binding): (u32, u32),
         stride: u64,
-        bytes: &[u8],
+        parts: &[&[u8]],
     ) -> Result<Self, DeviceError> {
-        let limit = context.binding_limit();
-        let shift = (limit / stride).min(1 << 31).ilog2();
+        let shift = (context.binding_limit() / stride).min(1 << 31).ilog2();
         let chunk_bytes = stride << shift;
-        let total = bytes.len() as u64;
-        let chunks = total.div_ceil(chunk_bytes).max(1);
+        let bytes = parts.iter().map(|part| part.len() as u64).sum::<u64>();
+        let chunks = bytes.div_ceil(chunk_bytes).max(1);
         if chunks > u64::from(MAX_CHUNKS) {
             return Err(DeviceError::TooLarge(format!(
                 "{name}: {} MiB, but `{}` can hold {} MiB ({MAX_CHUNKS} bindings of {} MiB)",
-                total >> 20,
+                bytes >> 20,
                 context.info.name,
                 (chunk_bytes * u64::from(MAX_CHUNKS)) >> 20,
                 chunk_bytes >> 20
             )));
         }
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
         let mut buffers = Vec::new();
-        for chunk in bytes.chunks(chunk_bytes as usize) {
-            buffers.push(context.upload(name, chunk)?);
+        for chunk in 0..chunks {
+            let size = (bytes - chunk * chunk_bytes).min(chunk_bytes);
+            buffers.push(context.buffer(name, size, usage)?);
         }
-        if buffers.is_empty() {
-            buffers.push(context.upload(name, &[])?);
+        let mut at = 0u64;
+        for part in parts {
+            let mut rest = *part;
+            while !rest.is_empty() {
+                let (chunk, offset) = (at / chunk_bytes, at % chunk_bytes);
+                let length = (rest.len() as u64).min(chunk_bytes - offset) as usize;
+                context.write(&buffers[chunk as usize], offset, &rest[..length])?;
+                rest = &rest[length..];
+                at += length as u64;
+            }
         }
-        Ok(Self {
-            layout: PoolLayout { name, element, group, binding, chunks: chunks as u32, shift },
-            buffers,
-            bytes: total,
-        })
+        let layout = PoolLayout { name, element, group, binding, chunks: chunks as u32, shift };
+        Ok(Self { layout, buffers, bytes })
     }
 
     /// Bind group entries of the chunks.

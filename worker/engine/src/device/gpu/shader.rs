@@ -64,5 +64,11 @@ macro_rules! embed {
     };
 }
 
-const STAGES: &[(&str, &str)] = embed!("": "trace_closest", "trace_shadow");
-const SHARED: &[(&str, &str)] = embed!("shared/": "accept_all", "intersect", "rays", "traverse", "traverse_baseline");
+pub(super) const STAGES: &[(&str, &str)] = embed!(
+    "": "accumulate", "first_hit", "generate", "prepare", "shade_ao", "shade_normal", "shade_path", "shade_whitted",
+    "trace_closest", "trace_shadow"
+);
+const SHARED: &[(&str, &str)] = embed!(
+    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "environment", "intersect", "lights", "math", "paths",
+    "rays", "sampler", "scattering", "scene", "shading", "surface", "texture", "traverse", "traverse_baseline"
+);

@@ -1,12 +1,13 @@
 //! The spatial structure on the device: one node pool and one primitive pool for the top level and all meshes.
 
-use glam::Affine3A;
+use glam::{Affine3A, Mat3};
 
 use super::context::Context;
 use super::pool::{Pool, PoolLayout};
 use super::wide::WideTree;
 use crate::accel::Bvh2;
 use crate::device::DeviceError;
+use crate::pack::{INSTANCE_ALPHA, PackedInstance, PackedMesh, PackedScene};
 use crate::scene::Aabb;
 
 /// Hits of this placement go through the alpha filter (`PLACEMENT_FILTERED` in `traverse.wgsl`).
@@ -23,7 +24,16 @@ pub struct MeshView<'a> {
     pub spheres: &'a [[f32; 4]],
 }
 
-impl MeshView<'_> {
+impl<'a> MeshView<'a> {
+    fn packed(scene: &'a PackedScene, mesh: &PackedMesh, bvh: &'a Bvh2) -> Self {
+        Self {
+            bvh,
+            positions: &scene.positions[mesh.position_offset as usize..],
+            triangles: &scene.triangles[mesh.triangle_offset as usize..][..mesh.triangle_count as usize],
+            spheres: &scene.spheres[mesh.sphere_offset as usize..][..mesh.sphere_count as usize],
+        }
+    }
+
     fn corners(&self, triangle: usize) -> [[f32; 3]; 3] {
         self.triangles[triangle].map(|v| self.positions[v as usize])
     }
@@ -61,16 +71,35 @@ impl MeshView<'_> {
 #[derive(Clone, Copy, Debug)]
 pub struct PlacementView {
     pub mesh: u32,
-    pub world_to_object: [[f32; 4]; 3],
+    /// Rows of the inverse of the 3x3 part.
+    pub inverse: [[f32; 3]; 3],
+    /// Comes off a ray's origin before `inverse` is applied: so nothing is lost far from the world's origin.
+    pub translation: [f32; 3],
     pub filtered: bool,
 }
 
 impl PlacementView {
     pub fn new(mesh: u32, object_to_world: Affine3A, filtered: bool) -> Self {
-        let inverse = object_to_world.inverse();
-        let (m, t) = (inverse.matrix3, inverse.translation);
-        let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
-        Self { mesh, world_to_object: [row(0), row(1), row(2)], filtered }
+        // In f64, as the CPU's top level does.
+        let columns = Mat3::from(object_to_world.matrix3).as_dmat3();
+        let rows = columns.inverse().as_mat3().transpose();
+        Self { mesh, inverse: rows.to_cols_array_2d(), translation: object_to_world.translation.into(), filtered }
+    }
+
+    fn packed(instance: &PackedInstance) -> Self {
+        let [x, y, z] = instance.object_to_world;
+        let columns = Mat3::from_cols_array_2d(&[[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]);
+        let transform = Affine3A::from_mat3_translation(columns, glam::Vec3::new(x[3], y[3], z[3]));
+        Self::new(instance.mesh, transform, instance.flags & INSTANCE_ALPHA != 0)
+    }
+
+    /// As `traverse.wgsl` reads it: each row with a component of the translation.
+    fn rows(&self) -> [[u32; 4]; 3] {
+        let row = |i: usize| {
+            let [x, y, z] = self.inverse[i];
+            [x, y, z, self.translation[i]].map(f32::to_bits)
+        };
+        [row(0), row(1), row(2)]
     }
 }
 
@@ -82,6 +111,8 @@ pub struct HostStructure {
     /// Stack entries that the kernel needs.
     pub stack_size: u32,
     pub spheres: bool,
+    /// Some placement's hits go through the alpha filter.
+    pub filtered: bool,
 }
 
 impl HostStructure {
@@ -108,6 +139,18 @@ impl HostStructure {
         host
     }
 
+    /// The structure of a packed scene.
+    pub fn of_scene(scene: &PackedScene) -> Self {
+        let meshes: Vec<_> = scene
+            .meshes
+            .iter()
+            .zip(scene.accel.structures())
+            .map(|(m, s)| MeshView::packed(scene, m, s.bvh2()))
+            .collect();
+        let placements: Vec<_> = scene.instances.iter().map(PlacementView::packed).collect();
+        Self::wide(scene.accel.top(), &meshes, &placements)
+    }
+
     /// The plain binary trees of the benchmark's base kernel. Leaves of the top level must hold one instance each.
     pub fn baseline(top: &Bvh2, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
         let mut host = Self::empty(meshes);
@@ -130,6 +173,7 @@ impl HostStructure {
             placements: Vec::new(),
             stack_size: 0,
             spheres: meshes.iter().any(|m| !m.spheres.is_empty()),
+            filtered: false,
         }
     }
 
@@ -156,7 +200,8 @@ impl HostStructure {
         for &instance in order {
             let placement = &placements[instance as usize];
             let flags = if placement.filtered { PLACEMENT_FILTERED } else { 0 };
-            self.placements.extend(placement.world_to_object.map(|row| row.map(f32::to_bits)));
+            self.filtered |= placement.filtered;
+            self.placements.extend(placement.rows());
             self.placements.push([roots[placement.mesh as usize], instance, flags, 0]);
         }
     }
@@ -190,22 +235,29 @@ pub(super) struct GpuStructure {
     pub group: wgpu::BindGroup,
     pub stack_size: u32,
     pub spheres: bool,
+    /// Some placement's hits go through the alpha filter.
+    pub filtered: bool,
     pub bytes: u64,
 }
 
 impl GpuStructure {
+    /// Constants of `traverse.wgsl`.
+    pub(super) fn constants(&self, any_hit: bool, counting: bool) -> Vec<(&'static str, String)> {
+        // Rounded up, so that scenes share compiled pipelines.
+        vec![
+            ("STACK_SIZE", format!("{}u", self.stack_size.next_multiple_of(8))),
+            ("ANY_HIT", any_hit.to_string()),
+            ("SPHERES", self.spheres.to_string()),
+            ("FILTERED", self.filtered.to_string()),
+            ("COUNTING", counting.to_string()),
+        ]
+    }
+
     pub(super) fn upload(context: &Context, host: &HostStructure) -> Result<Self, DeviceError> {
-        let nodes = Pool::upload(context, "nodes", "vec4<u32>", (0, 0), 16, bytemuck::cast_slice(&host.nodes))?;
-        let prims = Pool::upload(context, "prims", "vec4<f32>", (0, 4), 16, bytemuck::cast_slice(&host.prims))?;
+        let nodes = Pool::upload(context, "nodes", "vec4<u32>", (0, 0), 16, &[bytemuck::cast_slice(&host.nodes)])?;
+        let prims = Pool::upload(context, "prims", "vec4<f32>", (0, 4), 16, &[bytemuck::cast_slice(&host.prims)])?;
         let placement_bytes: &[u8] = bytemuck::cast_slice(&host.placements);
-        if placement_bytes.len() as u64 > context.binding_limit() {
-            return Err(DeviceError::TooLarge(format!(
-                "{} instances: `{}` can hold {}",
-                host.placements.len() / 4,
-                context.info.name,
-                context.binding_limit() / 64
-            )));
-        }
+        context.check_binding("instances", placement_bytes.len() as u64)?;
         let placements = context.upload("placements", placement_bytes)?;
         let mut entries: Vec<_> = nodes.entries().chain(prims.entries()).collect();
         entries.push(wgpu::BindGroupEntry { binding: 8, resource: placements.as_entire_binding() });
@@ -215,6 +267,7 @@ impl GpuStructure {
             group,
             stack_size: host.stack_size,
             spheres: host.spheres,
+            filtered: host.filtered,
             bytes: nodes.bytes + prims.bytes + placement_bytes.len() as u64,
             pools: [nodes.layout, prims.layout],
         })

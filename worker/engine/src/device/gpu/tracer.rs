@@ -34,11 +34,11 @@ const _: () = assert!(size_of::<GpuHit>() == 20);
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-struct GpuRay {
-    origin: [f32; 3],
-    t_min: f32,
-    direction: [f32; 3],
-    t_max: f32,
+pub(super) struct GpuRay {
+    pub origin: [f32; 3],
+    pub t_min: f32,
+    pub direction: [f32; 3],
+    pub t_max: f32,
 }
 const _: () = assert!(size_of::<GpuRay>() == 32);
 
@@ -106,12 +106,7 @@ impl<'a> Tracer<'a> {
             let hits = context.upload("hits", bytemuck::cast_slice(&vec![GpuHit::default(); rays.len()]))?;
             ("trace_closest", hits.clone(), vec![ray_buffer, hits, queue])
         };
-        let entries: Vec<_> = buffers
-            .iter()
-            .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .collect();
-        let (layout, group) = context.bind_storage("rays", &entries, false);
+        let (layout, group) = context.bind_buffers("rays", &buffers.iter().collect::<Vec<_>>());
         let replacements: &[_] = match self.kernel {
             Kernel::Wide => &[],
             Kernel::Baseline => &[("traverse", "traverse_baseline")],
@@ -119,12 +114,7 @@ impl<'a> Tracer<'a> {
         let source = compose(
             stage,
             &Variant {
-                constants: vec![
-                    ("STACK_SIZE", format!("{}u", self.structure.stack_size)),
-                    ("ANY_HIT", any_hit.to_string()),
-                    ("SPHERES", self.structure.spheres.to_string()),
-                    ("COUNTING", "false".to_owned()),
-                ],
+                constants: self.structure.constants(any_hit, false),
                 pools: &self.structure.pools,
                 replacements,
             },
@@ -143,6 +133,6 @@ impl<'a> Tracer<'a> {
         pass.set_bind_group(2, &batch.group, &[]);
         pass.dispatch_workgroups(batch.rays.div_ceil(WORKGROUP), 1, 1);
         drop(pass);
-        self.context.submit(encoder)
+        self.context.submit(encoder).map(|_| ())
     }
 }

@@ -1,0 +1,42 @@
+// Hit filter of scenes with alpha mask or blend; twin of integrate/alpha.rs.
+
+//!include shading
+
+var<private> filter_seed: u32;
+
+fn begin_filter(slot: u32) {
+    let ray_number = select(wave.closest_number, wave.shadow_number, ANY_HIT);
+    if ray_number == NONE {
+        filter_seed = NONE;
+    } else {
+        let sample = path_sample(slot);
+        filter_seed = alpha_seed(sample.seed, sample.index, ray_number);
+    }
+}
+
+fn accept(filtered: bool, ray: Ray, hit: Hit) -> bool {
+    if !filtered {
+        return true;
+    }
+    let material = material_index(hit.instance, hit.primitive);
+    let flags = materials[material].flags;
+    if (flags & (MATERIAL_ALPHA_MASK | MATERIAL_ALPHA_BLEND)) == 0u {
+        return true;
+    }
+    let alpha = base_color(material, hit_point(ray, hit)).w;
+    if (flags & MATERIAL_ALPHA_MASK) != 0u {
+        return alpha >= materials[material].alpha_cutoff;
+    }
+    if filter_seed == NONE {
+        return alpha >= 0.5;
+    }
+    var key = hash_combine(hash_combine(filter_seed, hit.instance), hit.primitive);
+    if hit.primitive >= meshes[instances[hit.instance].mesh].triangle_count {
+        // A ray meets a sphere twice, and each wall decides for itself.
+        let n = sphere_direction(hit.instance, hit.primitive, ray, hit.t);
+        let rows = instances[hit.instance].world_to_object;
+        let ahead = transform_point(rows, ray.origin + ray.direction) - transform_point(rows, ray.origin);
+        key = hash_combine(key, select(0u, 1u, dot(n, ahead) > 0.0));
+    }
+    return unit_float(key) < alpha;
+}

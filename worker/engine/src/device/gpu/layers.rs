@@ -1,0 +1,125 @@
+//! First-hit layers: one stage that traces and shades rays through pixel centres.
+
+use bytemuck::{Pod, Zeroable};
+
+use super::renderer::Resident;
+use super::scene::Wave;
+use super::stages::{Run, compose_trace};
+use super::tracer::WORKGROUP;
+use crate::device::{DeviceError, Region};
+use crate::film::AovLayer;
+use crate::pack::NONE;
+use crate::settings::Aov;
+use crate::trace::Counters;
+
+/// Mirror of `FirstHit` in `shaders/first_hit.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(super) struct FirstHit {
+    pub position: [f32; 3],
+    pub depth: f32,
+    pub geometric_normal: [f32; 3],
+    pub instance: u32,
+    pub shading_normal: [f32; 3],
+    pub primitive: u32,
+    pub albedo: [f32; 3],
+    pub material: u32,
+    pub box_tests: u32,
+    pub primitive_tests: u32,
+    _pad: [u32; 2],
+}
+const _: () = assert!(size_of::<FirstHit>() == 80);
+
+impl FirstHit {
+    pub(super) fn counters(&self) -> Counters {
+        Counters { box_tests: self.box_tests.into(), triangle_tests: self.primitive_tests.into() }
+    }
+
+    /// Writes the quantity of one layer.
+    pub(super) fn store(&self, aov: Aov, layer: &mut AovLayer, i: usize) {
+        match layer {
+            AovLayer::Scalar(values) => values[i] = self.depth,
+            AovLayer::Vector(values) => {
+                values[i] = match aov {
+                    Aov::Position => self.position,
+                    Aov::GeometricNormal => self.geometric_normal,
+                    Aov::ShadingNormal => self.shading_normal,
+                    _ => self.albedo,
+                }
+            }
+            AovLayer::Integer(values) => {
+                values[i] = match aov {
+                    Aov::InstanceId => self.instance,
+                    Aov::PrimitiveId => self.primitive,
+                    Aov::MaterialId => self.material,
+                    Aov::BoxTests => self.box_tests,
+                    _ => self.primitive_tests,
+                }
+            }
+        }
+    }
+}
+
+pub(super) struct Layers {
+    pipeline: wgpu::ComputePipeline,
+    group: wgpu::BindGroup,
+    buffer: wgpu::Buffer,
+    pixels: u32,
+}
+
+impl Layers {
+    /// The stage in `slot` with room for `pixels`, made or made anew where there is none.
+    pub(super) fn reserve<'a>(
+        slot: &'a mut Option<Self>,
+        resident: &Resident,
+        pixels: u32,
+    ) -> Result<&'a Self, DeviceError> {
+        if slot.as_ref().is_some_and(|layers| layers.pixels < pixels) {
+            *slot = None;
+        }
+        if slot.is_none() {
+            *slot = Some(Self::new(resident, pixels.next_power_of_two())?);
+        }
+        slot.as_ref().ok_or_else(|| DeviceError::Other("no room for first hits".to_owned()))
+    }
+
+    fn new(resident: &Resident, pixels: u32) -> Result<Self, DeviceError> {
+        let Resident { context, structure, scene } = resident;
+        let storage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC;
+        let buffer = context.buffer("first hits", u64::from(pixels) * size_of::<FirstHit>() as u64, storage)?;
+        let (layout, group) = context.bind_buffers("first hits", &[&buffer]);
+        let source = compose_trace("first_hit", structure, scene, false, true);
+        let groups = [Some(&structure.layout), Some(&scene.layout), Some(&layout), Some(&scene.uniform_layout)];
+        let pipeline = context.pipeline(&source, &groups);
+        context.check()?;
+        Ok(Self { pipeline, group, buffer, pixels })
+    }
+
+    /// Pixels `first .. first + pixels` of the region.
+    pub(super) fn render(
+        &self,
+        run: &Run<'_>,
+        region: Region,
+        first: u32,
+        pixels: u32,
+    ) -> Result<Vec<FirstHit>, DeviceError> {
+        let wave = Wave {
+            region_x: region.x,
+            region_y: region.y,
+            region_width: region.width,
+            first_pixel: first,
+            pixels,
+            samples: 1,
+            closest_number: NONE,
+            infinity: f32::INFINITY.to_bits(),
+            ..Wave::default()
+        };
+        run.submit(&wave, |encoder| {
+            let mut pass = run.pass(encoder);
+            pass.set_pipeline(&self.pipeline);
+            pass.set_bind_group(2, &self.group, &[]);
+            pass.dispatch_workgroups(pixels.div_ceil(WORKGROUP), 1, 1);
+        })?;
+        run.context.read(&self.buffer, pixels as usize)
+    }
+}

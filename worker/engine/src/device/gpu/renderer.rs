@@ -1,0 +1,328 @@
+//! Renders passes in waves: as many samples at a time as keep every submit at tens of milliseconds.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::context::Context;
+use super::layers::Layers;
+use super::scene::{GpuScene, Wave};
+use super::stages::{Run, Stages};
+use super::structure::{GpuStructure, HostStructure};
+use crate::device::{CancelCheck, DeviceError, Pass, PassStats, RayCounts, Region, Renderer};
+use crate::film::{AovBuffers, PassFilm};
+use crate::pack::{NONE, PackedScene};
+use crate::settings::{Integrator, RenderSettings};
+
+/// What one submit should take. Long enough that gaps between submits do not count, short enough for a display, a
+/// cancel and the drivers' watchdogs.
+const SUBMIT_TARGET_S: f64 = 0.025;
+/// First wave: small, because nothing is known of the device's speed.
+const FIRST_SLOTS: u32 = 2048;
+const MIN_SLOTS: u32 = 256;
+const MAX_SLOTS: u32 = 1 << 20;
+/// Samples of a pixel that stand side by side in a wave, when there are so many: their rays are alike.
+const SAMPLES_TOGETHER: u32 = 16;
+/// Times that one wave is tried again on a fresh device.
+const MAX_RETRIES: u32 = 2;
+/// Bounces between two looks at whether any path is alive: a look costs as much as a short submit.
+const LIVENESS_INTERVAL: u32 = 8;
+
+/// A scene on the device. Lost with it, and made again from the packed scene.
+pub(super) struct Resident {
+    pub context: Arc<Context>,
+    pub structure: GpuStructure,
+    pub scene: GpuScene,
+}
+
+impl Resident {
+    fn upload(context: Arc<Context>, packed: &PackedScene) -> Result<Self, DeviceError> {
+        let structure = GpuStructure::upload(&context, &HostStructure::of_scene(packed))?;
+        let scene = GpuScene::upload(&context, packed)?;
+        context.check()?;
+        Ok(Self { context, structure, scene })
+    }
+
+    pub(super) fn run(&self) -> Run<'_> {
+        Run {
+            context: &self.context,
+            structure: &self.structure,
+            scene: &self.scene,
+            longest_s: std::cell::Cell::new(0.0),
+        }
+    }
+}
+
+/// How many slots the next wave gets: grows and shrinks with what the last one took.
+#[derive(Debug)]
+struct Pace {
+    slots: u32,
+    /// The first wave's time is mostly that of the driver's compiler.
+    warm: bool,
+}
+
+impl Pace {
+    fn new() -> Self {
+        Self { slots: FIRST_SLOTS, warm: false }
+    }
+
+    fn record(&mut self, longest_s: f64) {
+        if self.warm {
+            let factor = (SUBMIT_TARGET_S / longest_s.max(1e-6)).clamp(0.5, 2.0);
+            self.slots = ((f64::from(self.slots) * factor) as u32).clamp(MIN_SLOTS, MAX_SLOTS);
+        }
+        self.warm = true;
+    }
+}
+
+pub(super) struct GpuRenderer {
+    packed: Arc<PackedScene>,
+    integrator: Integrator,
+    seed: u32,
+    /// Which adapter to open again after a loss.
+    adapter: Option<String>,
+    resident: Resident,
+    stages: Option<Stages>,
+    layers: Option<Layers>,
+    wave_pace: Pace,
+    layer_pace: Pace,
+}
+
+impl GpuRenderer {
+    pub(super) fn new(
+        context: Arc<Context>,
+        adapter: Option<String>,
+        packed: Arc<PackedScene>,
+        settings: &RenderSettings,
+    ) -> Result<Self, DeviceError> {
+        let resident = Resident::upload(context, &packed)?;
+        Ok(Self {
+            packed,
+            integrator: settings.integrator,
+            seed: settings.seed,
+            adapter,
+            resident,
+            stages: None,
+            layers: None,
+            wave_pace: Pace::new(),
+            layer_pace: Pace::new(),
+        })
+    }
+
+    /// Runs `work`; when the device is lost, again on a new one.
+    fn with_retries<T>(&mut self, mut work: impl FnMut(&mut Self) -> Result<T, DeviceError>) -> Result<T, DeviceError> {
+        let mut retries = 0;
+        loop {
+            let reason = match work(self) {
+                Err(DeviceError::Lost(reason)) if retries < MAX_RETRIES => reason,
+                result => return result,
+            };
+            retries += 1;
+            tracing::warn!(reason, retries, "the GPU was lost; opening it again");
+            match self.revive() {
+                Ok(()) | Err(DeviceError::Lost(_)) => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn revive(&mut self) -> Result<(), DeviceError> {
+        self.stages = None;
+        self.layers = None;
+        self.wave_pace = Pace::new();
+        self.layer_pace = Pace::new();
+        self.resident = Resident::upload(Arc::new(Context::open(self.adapter.as_deref())?), &self.packed)?;
+        Ok(())
+    }
+
+    /// Stages with room for the next wave.
+    fn reserve_stages(&mut self, needed: u64) -> Result<(), DeviceError> {
+        let slots = needed.min(u64::from(self.wave_pace.slots)) as u32;
+        if self.stages.as_ref().is_none_or(|stages| stages.slots < slots) {
+            self.stages = None;
+            let Resident { context, structure, scene } = &self.resident;
+            self.stages = Some(Stages::new(context, structure, scene, self.integrator, slots.next_power_of_two())?);
+        }
+        Ok(())
+    }
+
+    /// The sums over all samples of the pass of a run of pixels, the first one `first`; how many, is up to the pace.
+    fn render_run(&mut self, pass: &Pass, first: u32, cancel: CancelCheck<'_>) -> Result<RunSums, DeviceError> {
+        let left = pass.region.pixels() as u32 - first;
+        self.reserve_stages(u64::from(left) * u64::from(pass.samples))?;
+        let Some(stages) = &self.stages else { return Err(DeviceError::Other("no stages".to_owned())) };
+        let slots = stages.slots.min(self.wave_pace.slots);
+        let pixels = (slots / pass.samples.min(SAMPLES_TOGETHER)).clamp(1, left);
+        let context = &*self.resident.context;
+        let (closest_before, shadow_before) = stages.ray_totals(context)?;
+        let mut done = 0;
+        while done < pass.samples {
+            if cancel() {
+                return Err(DeviceError::Cancelled);
+            }
+            let slots = stages.slots.min(self.wave_pace.slots);
+            let samples = (slots / pixels).clamp(1, pass.samples - done);
+            let wave = Wave {
+                region_x: pass.region.x,
+                region_y: pass.region.y,
+                region_width: pass.region.width,
+                first_pixel: first,
+                pixels,
+                first_sample: pass.first_sample + done,
+                samples,
+                seed: self.seed,
+                infinity: f32::INFINITY.to_bits(),
+                accumulated: done,
+                ..Wave::default()
+            };
+            let run = self.resident.run();
+            render_wave(stages, &run, wave, self.integrator)?;
+            self.wave_pace.record(run.longest_s.get());
+            done += samples;
+        }
+        let (closest, shadow) = stages.ray_totals(context)?;
+        let primary = u64::from(pixels) * u64::from(pass.samples);
+        let occlusion = shadow - shadow_before;
+        let is_ao = matches!(self.integrator, Integrator::Ao { .. });
+        let rays = RayCounts {
+            primary,
+            indirect: closest - closest_before - primary,
+            shadow: if is_ao { 0 } else { occlusion },
+            ao: if is_ao { occlusion } else { 0 },
+        };
+        Ok(RunSums { sums: stages.sums(context, pixels)?, rays })
+    }
+}
+
+struct RunSums {
+    sums: Vec<[f64; 3]>,
+    rays: RayCounts,
+}
+
+/// All bounces of one wave, and its radiance into the sums.
+fn render_wave(stages: &Stages, run: &Run<'_>, mut wave: Wave, integrator: Integrator) -> Result<(), DeviceError> {
+    stages.generate(run, &wave)?;
+    match integrator {
+        Integrator::Aov => {
+            wave.closest_number = NONE;
+            stages.bounce(run, &wave, 0)?;
+        }
+        Integrator::Ao { samples, distance } => {
+            wave.ao_samples = samples.max(1);
+            wave.ao_distance = distance;
+            stages.trace(run, &wave)?;
+            for ray in 0..wave.ao_samples {
+                wave.ao_index = ray;
+                wave.shadow_number = 1 + ray;
+                stages.shade(run, &wave)?;
+            }
+        }
+        Integrator::Direct => bounces(stages, run, &mut wave, 0, 1)?,
+        Integrator::Path { max_bounces } => {
+            bounces(stages, run, &mut wave, max_bounces, max_bounces.saturating_add(1))?
+        }
+        Integrator::Whitted { max_bounces } => bounces(stages, run, &mut wave, max_bounces, max_bounces)?,
+    }
+    stages.accumulate(run, &wave)
+}
+
+/// Vertices 0 to `last`. A path's last ray may only look for the light that its last vertex could not connect to.
+fn bounces(stages: &Stages, run: &Run<'_>, wave: &mut Wave, max_bounces: u32, last: u32) -> Result<(), DeviceError> {
+    wave.max_bounces = max_bounces;
+    for bounce in 0..=last {
+        let active = (bounce % 2) as usize;
+        if bounce > 0 && bounce % LIVENESS_INTERVAL == 0 && !stages.has_paths(run.context, active)? {
+            break;
+        }
+        wave.bounce = bounce;
+        wave.closest_number = bounce.wrapping_mul(2);
+        wave.shadow_number = wave.closest_number.wrapping_add(1);
+        stages.bounce(run, wave, active)?;
+    }
+    Ok(())
+}
+
+impl Renderer for GpuRenderer {
+    fn render(&mut self, pass: &Pass, film: &mut PassFilm, cancel: CancelCheck<'_>) -> Result<PassStats, DeviceError> {
+        check_region(pass.region, film.region)?;
+        if pass.first_sample.checked_add(pass.samples).is_none() {
+            return Err(DeviceError::Other("the pass counts its samples past 32 bits".to_owned()));
+        }
+        let started = Instant::now();
+        let mut stats = PassStats::default();
+        let mut sums = Vec::with_capacity(pass.region.pixels());
+        while sums.len() < pass.region.pixels() && pass.samples > 0 {
+            let first = sums.len() as u32;
+            let run = self.with_retries(|renderer| renderer.render_run(pass, first, cancel))?;
+            sums.extend(run.sums);
+            stats.rays += run.rays;
+        }
+        // Only now, so that a cancelled pass leaves the film as it was.
+        for_each_pixel(pass.region, film.region, &sums, |i, sum| {
+            (0..3).for_each(|c| film.sum[i][c] += sum[c]);
+        });
+        film.samples += pass.samples;
+        stats.seconds = started.elapsed().as_secs_f64();
+        Ok(stats)
+    }
+
+    fn aovs(
+        &mut self,
+        region: Region,
+        out: &mut AovBuffers,
+        cancel: CancelCheck<'_>,
+    ) -> Result<PassStats, DeviceError> {
+        check_region(region, out.region)?;
+        let started = Instant::now();
+        let mut stats = PassStats::default();
+        let mut hits = Vec::with_capacity(region.pixels());
+        while hits.len() < region.pixels() {
+            if cancel() {
+                return Err(DeviceError::Cancelled);
+            }
+            let first = hits.len() as u32;
+            hits.extend(self.with_retries(|renderer| {
+                let pixels = renderer.layer_pace.slots.min(region.pixels() as u32 - first);
+                let layers = Layers::reserve(&mut renderer.layers, &renderer.resident, pixels)?;
+                let run = renderer.resident.run();
+                let hits = layers.render(&run, region, first, pixels)?;
+                renderer.layer_pace.record(run.longest_s.get());
+                Ok(hits)
+            })?);
+        }
+        for hit in &hits {
+            stats.counters += hit.counters();
+        }
+        stats.rays.primary = hits.len() as u64;
+        let target = out.region;
+        for (aov, layer) in &mut out.layers {
+            for_each_pixel(region, target, &hits, |i, hit| hit.store(*aov, layer, i));
+        }
+        stats.seconds = started.elapsed().as_secs_f64();
+        Ok(stats)
+    }
+
+    fn device_bytes(&self) -> u64 {
+        let stages = self.stages.as_ref().map_or(0, Stages::bytes);
+        self.resident.structure.bytes + self.resident.scene.bytes + stages
+    }
+}
+
+/// Row-major `values` over `region`, each with its place in a row-major buffer over `target`.
+fn for_each_pixel<T>(region: Region, target: Region, values: &[T], mut f: impl FnMut(usize, &T)) {
+    for (k, value) in values.iter().enumerate() {
+        let x = (region.x - target.x) as usize + k % region.width as usize;
+        let y = (region.y - target.y) as usize + k / region.width as usize;
+        f(y * target.width as usize + x, value);
+    }
+}
+
+/// The pass must lie within what the film covers.
+fn check_region(inner: Region, outer: Region) -> Result<(), DeviceError> {
+    let end = |start: u32, length: u32| u64::from(start) + u64::from(length);
+    let fits = inner.x >= outer.x
+        && inner.y >= outer.y
+        && end(inner.x, inner.width) <= end(outer.x, outer.width)
+        && end(inner.y, inner.height) <= end(outer.y, outer.height)
+        && u32::try_from(inner.pixels()).is_ok();
+    if fits { Ok(()) } else { Err(DeviceError::Other(format!("the pass covers {inner:?}, the film only {outer:?}"))) }
+}

@@ -1,0 +1,151 @@
+//! The packed scene on the device: bind groups 1 (arrays) and 3 (uniforms) of the shading stages.
+//!
+//! Storage bindings: five arrays of structs, one or more for geometry and tables, one or more for texels. With the
+//! nine of `paths.wgsl` that makes [`super::REQUIRED_STORAGE_BUFFERS`] on adapters whose bindings hold each pool whole.
+
+use bytemuck::{Pod, Zeroable};
+
+use super::context::Context;
+use super::pool::{Pool, PoolLayout};
+use crate::device::DeviceError;
+use crate::integrate::sampler::SOBOL;
+use crate::integrate::texture::srgb_to_linear;
+use crate::pack::{PackedCamera, PackedEnvironment, PackedScene};
+
+/// Mirror of `SceneInfo` in `shaders/shared/scene.wgsl`; offsets in words of the pool.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(super) struct SceneInfo {
+    pub camera: PackedCamera,
+    pub environment: PackedEnvironment,
+    pub positions: u32,
+    pub triangles: u32,
+    pub slots: u32,
+    pub spheres: u32,
+    pub attributes: u32,
+    pub instance_materials: u32,
+    pub light_cdf: u32,
+    pub light_count: u32,
+    pub emitter_lights: u32,
+    pub ggx_albedo: u32,
+    pub srgb: u32,
+    pub sobol: u32,
+    pub environment_texels: u32,
+    pub environment_cdf: u32,
+    pub _pad: [u32; 2],
+}
+const _: () = assert!(size_of::<SceneInfo>() == 160);
+
+/// Mirror of `Wave` in `shaders/shared/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(super) struct Wave {
+    pub region_x: u32,
+    pub region_y: u32,
+    pub region_width: u32,
+    pub first_pixel: u32,
+    pub pixels: u32,
+    pub first_sample: u32,
+    pub samples: u32,
+    pub seed: u32,
+    pub bounce: u32,
+    pub max_bounces: u32,
+    pub closest_number: u32,
+    pub shadow_number: u32,
+    pub ao_samples: u32,
+    pub ao_index: u32,
+    pub ao_distance: f32,
+    pub infinity: u32,
+    pub accumulated: u32,
+    pub zero: u32,
+    pub _pad: [u32; 2],
+}
+const _: () = assert!(size_of::<Wave>() == 80);
+
+pub(super) struct GpuScene {
+    pub pools: [PoolLayout; 2],
+    pub layout: wgpu::BindGroupLayout,
+    pub group: wgpu::BindGroup,
+    pub uniform_layout: wgpu::BindGroupLayout,
+    pub uniforms: wgpu::BindGroup,
+    pub wave: wgpu::Buffer,
+    pub bytes: u64,
+}
+
+impl GpuScene {
+    pub(super) fn upload(context: &Context, scene: &PackedScene) -> Result<Self, DeviceError> {
+        let srgb: Vec<f32> = (0..256u16).map(|byte| srgb_to_linear(f32::from(byte) * (1.0 / 255.0))).collect();
+        let mut geometry = Parts::default();
+        let mut texels = Parts::default();
+        let info = SceneInfo {
+            camera: scene.camera,
+            environment: scene.environment,
+            positions: geometry.push(&scene.positions)?,
+            triangles: geometry.push(&scene.triangles)?,
+            slots: geometry.push(&scene.slots)?,
+            spheres: geometry.push(&scene.spheres)?,
+            attributes: geometry.push(&scene.attributes)?,
+            instance_materials: geometry.push(&scene.instance_materials)?,
+            light_cdf: geometry.push(&scene.light_cdf)?,
+            light_count: scene.lights.len() as u32,
+            emitter_lights: geometry.push(&scene.emitter_lights)?,
+            ggx_albedo: geometry.push(&scene.ggx_albedo)?,
+            srgb: geometry.push(&srgb)?,
+            sobol: geometry.push(&SOBOL)?,
+            // Texture texels come first, so that `PackedTexture::texel_offset` needs no base.
+            environment_texels: {
+                texels.push(&scene.texels)?;
+                texels.push(&scene.environment_texels)?
+            },
+            environment_cdf: texels.push(&scene.environment_cdf)?,
+            _pad: [0; 2],
+        };
+        let words = Pool::upload(context, "words", "u32", (1, 5), 4, &geometry.parts)?;
+        let texels = Pool::upload(context, "texels", "u32", (1, 9), 4, &texels.parts)?;
+        let arrays: [(&str, &[u8]); 5] = [
+            ("meshes", bytemuck::cast_slice(&scene.meshes)),
+            ("instances", bytemuck::cast_slice(&scene.instances)),
+            ("materials", bytemuck::cast_slice(&scene.materials)),
+            ("textures", bytemuck::cast_slice(&scene.textures)),
+            ("lights", bytemuck::cast_slice(&scene.lights)),
+        ];
+        let mut buffers = Vec::new();
+        let mut bytes = words.bytes + texels.bytes;
+        for (name, array) in arrays {
+            context.check_binding(name, array.len() as u64)?;
+            buffers.push(context.upload(name, array)?);
+            bytes += array.len() as u64;
+        }
+        let entries: Vec<_> = buffers
+            .iter()
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .chain(words.entries())
+            .chain(texels.entries())
+            .collect();
+        let (layout, group) = context.bind_storage("scene", &entries, true);
+        let info = context.uniform("scene info", bytemuck::bytes_of(&info))?;
+        let wave = context.uniform("wave", bytemuck::bytes_of(&Wave::default()))?;
+        let (uniform_layout, uniforms) = context.bind_uniforms("uniforms", &[&info, &wave]);
+        Ok(Self { pools: [words.layout, texels.layout], layout, group, uniform_layout, uniforms, wave, bytes })
+    }
+}
+
+/// Arrays that follow each other in one pool of words.
+#[derive(Default)]
+struct Parts<'a> {
+    parts: Vec<&'a [u8]>,
+    words: u64,
+}
+
+impl<'a> Parts<'a> {
+    /// The array's offset in words.
+    fn push<T: Pod>(&mut self, array: &'a [T]) -> Result<u32, DeviceError> {
+        let bytes: &[u8] = bytemuck::cast_slice(array);
+        let offset = u32::try_from(self.words)
+            .map_err(|_| DeviceError::TooLarge("geometry and tables exceed 16 GiB".to_owned()))?;
+        self.words += bytes.len() as u64 / 4;
+        self.parts.push(bytes);
+        Ok(offset)
+    }
+}

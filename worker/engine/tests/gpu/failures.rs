@@ -1,0 +1,88 @@
+//! What goes wrong is said, or repaired.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use lightshaft_engine::device::gpu::{Context, GpuDevice, adapters};
+use lightshaft_engine::device::{Device, DeviceError, Pass, Region};
+use lightshaft_engine::film::PassFilm;
+use lightshaft_engine::settings::Integrator;
+
+use crate::context;
+use crate::scenes::{opaque, packed, settings};
+
+#[test]
+fn adapters_are_listed_and_selected_by_part_of_their_name() {
+    let found = adapters();
+    let name = &found.first().expect("there is an adapter").name;
+    assert!(found.iter().all(|info| info.kind == "gpu" && info.max_binding_bytes >= 128 << 20));
+    let part: String = name.chars().take(4).collect::<String>().to_uppercase();
+    assert_eq!(&Context::open(Some(&part)).expect("opens").info.name, name);
+}
+
+#[test]
+fn an_unknown_adapter_is_an_error_that_lists_the_known_ones() {
+    let Err(DeviceError::NoAdapter(message)) = Context::open(Some("Voodoo 2")) else {
+        panic!("opened an adapter that is not there");
+    };
+    assert!(message.contains("Voodoo 2") && message.contains(&context().info.name), "{message}");
+}
+
+#[test]
+fn a_lost_device_is_opened_again_and_the_picture_is_the_same() {
+    let settings = settings(Integrator::Direct);
+    let scene = packed(&opaque(), &settings);
+    let region = Region::full(&settings);
+    let pass = Pass { region, first_sample: 0, samples: 4 };
+    let mut expected = PassFilm::new(region);
+    let mut device = GpuDevice::with_context(context());
+    device
+        .prepare(scene.clone(), &settings)
+        .expect("prepares")
+        .render(&pass, &mut expected, &|| false)
+        .expect("renders");
+
+    let doomed = Arc::new(Context::open(None).expect("opens"));
+    let mut device = GpuDevice::with_context(doomed.clone());
+    let mut renderer = device.prepare(scene.clone(), &settings).expect("prepares");
+    let waves = AtomicU32::new(0);
+    let lose_it_at_the_third_wave = || {
+        if waves.fetch_add(1, Ordering::Relaxed) == 2 {
+            doomed.destroy();
+        }
+        false
+    };
+    let mut film = PassFilm::new(region);
+    renderer.render(&pass, &mut film, &lose_it_at_the_third_wave).expect("recovers");
+    assert!(waves.into_inner() > 3, "the device was never lost");
+    assert!(film.mean() == expected.mean(), "the picture differs after the loss");
+
+    // The next job on the same device gets a new context too.
+    let mut renderer = device.prepare(scene, &settings).expect("prepares");
+    renderer.render(&pass, &mut film, &|| false).expect("renders");
+}
+
+#[test]
+fn a_cancelled_pass_leaves_the_film_alone() {
+    let settings = settings(Integrator::Direct);
+    let region = Region::full(&settings);
+    let mut device = GpuDevice::with_context(context());
+    let mut renderer = device.prepare(packed(&opaque(), &settings), &settings).expect("prepares");
+    let mut film = PassFilm::new(region);
+    let asked = AtomicU32::new(0);
+    let cancel = || asked.fetch_add(1, Ordering::Relaxed) == 1;
+    let pass = Pass { region, first_sample: 0, samples: 64 };
+    assert!(matches!(renderer.render(&pass, &mut film, &cancel), Err(DeviceError::Cancelled)));
+    assert!(film == PassFilm::new(region), "the film was written");
+}
+
+#[test]
+fn a_pass_outside_its_film_is_refused() {
+    let settings = settings(Integrator::Direct);
+    let region = Region::full(&settings);
+    let mut device = GpuDevice::with_context(context());
+    let mut renderer = device.prepare(packed(&opaque(), &settings), &settings).expect("prepares");
+    let mut film = PassFilm::new(Region { width: 10, ..region });
+    let pass = Pass { region, first_sample: 0, samples: 1 };
+    assert!(matches!(renderer.render(&pass, &mut film, &|| false), Err(DeviceError::Other(_))));
+}
