@@ -34,8 +34,7 @@ fn accept(filtered: bool, ray: Ray, hit: Hit) -> bool {
     if hit.primitive >= meshes[instances[hit.instance].mesh].triangle_count {
         // A ray meets a sphere twice, and each wall decides for itself.
         let n = sphere_direction(hit.instance, hit.primitive, ray, hit.t);
-        let rows = instances[hit.instance].world_to_object;
-        let ahead = transform_point(rows, ray.origin + ray.direction) - transform_point(rows, ray.origin);
+        let ahead = transform_vector(instances[hit.instance].world_to_object, ray.direction);
         key = hash_combine(key, select(0u, 1u, dot(n, ahead) > 0.0));
     }
     return unit_float(key) < alpha;

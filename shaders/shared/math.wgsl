@@ -3,7 +3,8 @@
 const PI = 3.14159265358979;
 const TWO_PI = 2.0 * PI;
 const INV_PI = 0.318309886183791;
-const POSITION_ERROR = 1.0 / 524288.0;
+const LOCAL_ERROR = 1.0 / 1048576.0;
+const WORLD_ERROR = 1.0 / 4194304.0;
 const INFINITY_BITS = 0x7f800000u;
 
 fn infinity() -> f32 {
@@ -38,15 +39,15 @@ fn transform_normal(inverse_rows: array<vec4<f32>, 3>, n: vec3<f32>) -> vec3<f32
     );
 }
 
-fn transform_magnitude(rows: array<vec4<f32>, 3>, p: vec3<f32>) -> vec3<f32> {
+fn surface_error(rows: array<vec4<f32>, 3>, extent: vec3<f32>, position: vec3<f32>) -> f32 {
     let r0 = abs(rows[0]);
     let r1 = abs(rows[1]);
     let r2 = abs(rows[2]);
-    return vec3<f32>(
-        r0.x * p.x + r0.y * p.y + r0.z * p.z + r0.w,
-        r1.x * p.x + r1.y * p.y + r1.z * p.z + r1.w,
-        r2.x * p.x + r2.y * p.y + r2.z * p.z + r2.w,
-    );
+    let x = r0.x * extent.x + r0.y * extent.y + r0.z * extent.z;
+    let y = r1.x * extent.x + r1.y * extent.y + r1.z * extent.z;
+    let z = r2.x * extent.x + r2.y * extent.y + r2.z * extent.z;
+    let world = max(max(r0.w + abs(position.x), r1.w + abs(position.y)), r2.w + abs(position.z));
+    return max(max(x, y), z) * LOCAL_ERROR + world * WORLD_ERROR;
 }
 
 fn normalize_or(v: vec3<f32>, fallback: vec3<f32>) -> vec3<f32> {
@@ -80,12 +81,11 @@ fn to_world(frame: Basis, normal: vec3<f32>, v: vec3<f32>) -> vec3<f32> {
     return frame.tangent * v.x + frame.bitangent * v.y + normal * v.z;
 }
 
-fn offset_origin(position: vec3<f32>, error: vec3<f32>, normal: vec3<f32>, direction: vec3<f32>) -> vec3<f32> {
-    let distance = abs(normal.x) * error.x + abs(normal.y) * error.y + abs(normal.z) * error.z;
+fn offset_origin(position: vec3<f32>, error: f32, normal: vec3<f32>, direction: vec3<f32>) -> vec3<f32> {
     if dot(direction, normal) >= 0.0 {
-        return position + normal * distance;
+        return position + normal * error;
     }
-    return position - normal * distance;
+    return position - normal * error;
 }
 
 fn power_heuristic(a: f32, b: f32) -> f32 {

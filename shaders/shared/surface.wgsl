@@ -4,7 +4,7 @@ const MIN_VIEW_COSINE = 0.01;
 
 struct SurfacePoint {
     position: vec3<f32>,
-    error: vec3<f32>,
+    error: f32,
     geometric_normal: vec3<f32>,
     smooth_normal: vec3<f32>,
     tangent: vec3<f32>,
@@ -17,7 +17,7 @@ struct SurfacePoint {
 
 struct Surface {
     position: vec3<f32>,
-    error: vec3<f32>,
+    error: f32,
     geometric_normal: vec3<f32>,
     normal: vec3<f32>,
     base_color: vec3<f32>,
@@ -83,8 +83,7 @@ fn triangle_point(instance: u32, primitive: u32, u: f32, v: f32) -> SurfacePoint
     let p = p0 * b.x + p1 * b.y + p2 * b.z;
     var point: SurfacePoint;
     point.position = transform_point(inst.object_to_world, p);
-    let magnitude = max(max(abs(p0), abs(p1)), abs(p2));
-    point.error = (transform_magnitude(inst.object_to_world, magnitude) + abs(point.position)) * POSITION_ERROR;
+    point.error = surface_error(inst.object_to_world, max(max(abs(p0), abs(p1)), abs(p2)), point.position);
     let face = cross(p1 - p0, p2 - p0);
     point.geometric_normal = normalize_or(transform_normal(inst.world_to_object, face), vec3<f32>(0.0, 1.0, 0.0));
 
@@ -120,8 +119,7 @@ fn sphere_point(instance: u32, primitive: u32, n: vec3<f32>) -> SurfacePoint {
     let sphere = sphere_of(inst.mesh, primitive);
     var point: SurfacePoint;
     point.position = transform_point(inst.object_to_world, sphere.xyz + n * sphere.w);
-    let magnitude = abs(sphere.xyz) + vec3<f32>(sphere.w);
-    point.error = (transform_magnitude(inst.object_to_world, magnitude) + abs(point.position)) * POSITION_ERROR;
+    point.error = surface_error(inst.object_to_world, abs(sphere.xyz) + vec3<f32>(sphere.w), point.position);
     point.geometric_normal = normalize_or(transform_normal(inst.world_to_object, n), vec3<f32>(0.0, 1.0, 0.0));
     point.smooth_normal = point.geometric_normal;
     point.uv0 = vec2<f32>(
@@ -139,7 +137,8 @@ fn sphere_point(instance: u32, primitive: u32, n: vec3<f32>) -> SurfacePoint {
 
 fn sphere_direction(instance: u32, primitive: u32, ray: Ray, t: f32) -> vec3<f32> {
     let inst = instances[instance];
-    let origin = transform_point(inst.world_to_object, ray.origin);
+    let m = inst.object_to_world;
+    let origin = transform_vector(inst.world_to_object, ray.origin - vec3<f32>(m[0].w, m[1].w, m[2].w));
     let direction = transform_vector(inst.world_to_object, ray.direction);
     return normalize_or(origin + direction * t - sphere_of(inst.mesh, primitive).xyz, vec3<f32>(0.0, 1.0, 0.0));
 }
