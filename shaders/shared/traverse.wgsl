@@ -2,8 +2,9 @@
 //
 // The stack holds groups: all hit inner children of one node, or the untested entries of one leaf group, as
 // (base, bits): bits 24..31 mark inner children by visiting order, bits 0..7 then say which slots are inner;
-// without marks in 24..31 the lower bits mark leaf entries. A node adds at most one group, so STACK_SIZE, the depth
-// of top level and deepest mesh plus two, cannot overflow.
+// without marks in 24..31 the lower bits mark leaf entries. A node adds at most one group, and the instances left of a
+// top-level leaf, which lie above it, come off before it is opened: so STACK_SIZE, the depth of top level and deepest
+// mesh plus two, cannot overflow.
 //
 // Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), FILTERED
 // (some placements' hits go through the alpha filter), COUNTING.
@@ -156,12 +157,12 @@ fn trace(world: Ray) -> Trace {
             let entry = leaf.x + bit;
             if floor_sp == NONE {
                 // An instance: remember what is left of the top level, and go on at the mesh's root.
-                if leaf.y != 0u {
-                    stack[sp] = leaf;
-                    sp += 1u;
-                }
                 if inner.y > 0x00ffffffu {
                     stack[sp] = inner;
+                    sp += 1u;
+                }
+                if leaf.y != 0u {
+                    stack[sp] = leaf;
                     sp += 1u;
                 }
                 floor_sp = sp;

@@ -12,6 +12,9 @@ use crate::device::{DeviceError, DeviceInfo};
 /// A submit is sized to tens of milliseconds; one that takes this long means a hung driver.
 const SUBMIT_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// Waits are cut into slices of this length, so that the news of a lost device is not waited for.
+const WAIT_SLICE: Duration = Duration::from_millis(250);
+
 /// Why the device is of no more use; set once, by wgpu's callbacks or by a wait that ran out.
 type Failure = Arc<Mutex<Option<String>>>;
 
@@ -271,9 +274,17 @@ impl Context {
     }
 
     fn wait(&self, index: wgpu::SubmissionIndex) -> Result<(), DeviceError> {
-        let wait = wgpu::PollType::Wait { submission_index: Some(index), timeout: Some(SUBMIT_TIMEOUT) };
-        if let Err(error) = self.device.poll(wait) {
-            fail(&self.failure, format!("a submit did not end: {error}"));
+        let deadline = Instant::now() + SUBMIT_TIMEOUT;
+        loop {
+            let wait = wgpu::PollType::Wait { submission_index: Some(index.clone()), timeout: Some(WAIT_SLICE) };
+            match self.device.poll(wait) {
+                Err(wgpu::PollError::Timeout) if Instant::now() < deadline => self.check()?,
+                Err(error) => {
+                    fail(&self.failure, format!("a submit did not end: {error}"));
+                    break;
+                }
+                Ok(_) => break,
+            }
         }
         self.check()
     }
