@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use lightshaft_api::settings::DeviceChoice;
 use lightshaft_api::worker;
 use lightshaft_engine::device::cpu::CpuDevice;
-use lightshaft_engine::device::gpu;
+use lightshaft_engine::device::gpu::{self, GpuDevice};
 use lightshaft_engine::device::{Device, DeviceError, DeviceInfo, Renderer};
 use lightshaft_engine::pack::PackedScene;
 use lightshaft_engine::settings::RenderSettings;
@@ -94,13 +94,11 @@ impl Devices {
         settings: &RenderSettings,
     ) -> Result<OnDevice, DeviceError> {
         let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut device = match open.remove(choice) {
+        let mut device: Box<dyn Device> = match open.remove(choice) {
             Some(device) => device,
             None => match choice {
                 Choice::Cpu => Box::new(CpuDevice::new()),
-                Choice::Gpu(_) => {
-                    return Err(DeviceError::NoAdapter("this build renders on the CPU only".into()));
-                }
+                Choice::Gpu(adapter) => Box::new(GpuDevice::open(adapter.as_deref())?),
             },
         };
         let renderer = device.prepare(Arc::clone(scene), settings)?;
