@@ -28,10 +28,11 @@ impl JobRow {
         self.job.started_at.map(|start| seconds_between(start, end))
     }
 
-    /// Seconds left, were the rest as quick as what was done; `None` while too little is done to tell.
+    /// Seconds left, were the rest as quick as what was done; `None` while too little is done to tell: the first tenth
+    /// is for fetching and structures, and says nothing of the speed of rendering.
     pub(super) fn remaining_s(&self) -> Option<f64> {
         let progress = self.job.progress;
-        let known = self.job.state == JobState::Running && progress >= 0.03;
+        let known = self.job.state == JobState::Running && progress >= 0.15;
         known.then(|| self.duration_s()).flatten().map(|elapsed| elapsed * (1.0 - progress) / progress)
     }
 }
