@@ -47,12 +47,12 @@ pub fn encode_exr(
             }
         }
     }
-    let mut attributes = LayerAttributes::default();
-    attributes.software_name = Some(text(&format!("lightshaft {}", crate::VERSION))?);
-    if !metadata.is_empty() {
-        let lines: Vec<String> = metadata.iter().map(|(k, v)| format!("{k}={v}")).collect();
-        attributes.comments = Some(text(&lines.join("\n"))?);
-    }
+    let lines: Vec<String> = metadata.iter().map(|(k, v)| format!("{k}={v}")).collect();
+    let attributes = LayerAttributes {
+        software_name: Some(text(&format!("lightshaft {}", crate::VERSION))?),
+        comments: if lines.is_empty() { None } else { Some(text(&lines.join("\n"))?) },
+        ..LayerAttributes::default()
+    };
     let encoding = Encoding { compression: Compression::ZIP16, ..Encoding::default() };
     let size = (width as usize, height as usize);
     let image = Image::from_layer(Layer::new(size, attributes, encoding, AnyChannels::sort(channels)));

@@ -212,7 +212,7 @@ fn sphere_cone(scene: &PackedScene, inst: &PackedInstance, primitive: u32, posit
     let to_center = center - position;
     let distance2 = to_center.dot(to_center);
     let sine2 = radius * radius / distance2;
-    if !(sine2 < 0.9999) {
+    if sine2.is_nan() || sine2 >= 0.9999 {
         return 0.0;
     }
     // 1 - cos without cancellation for small spheres.

@@ -81,8 +81,8 @@ fn attribute4(scene: &PackedScene, offset: u32, triangle: [u32; 3], b: [f32; 3])
     let mut sum = [0.0; 4];
     for k in 0..3 {
         let i = (offset + 4 * triangle[k]) as usize;
-        for c in 0..4 {
-            sum[c] += b[k] * scene.attributes[i + c];
+        for (c, value) in sum.iter_mut().enumerate() {
+            *value += b[k] * scene.attributes[i + c];
         }
     }
     sum

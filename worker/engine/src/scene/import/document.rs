@@ -10,6 +10,7 @@ use std::ops::Range;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use super::specular_glossiness::{self, SpecularGlossiness};
 use crate::scene::error::{ImportError, Result};
 
 /// What we can honour of `extensionsRequired`.
@@ -237,7 +238,7 @@ pub(super) struct Material {
     pub(super) extensions: MaterialExtensions,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub(super) struct MetallicRoughness {
     pub(super) base_color_factor: [f32; 4],
@@ -266,6 +267,8 @@ pub(super) struct MaterialExtensions {
     pub(super) emissive_strength: Option<EmissiveStrength>,
     #[serde(rename = "KHR_materials_unlit")]
     pub(super) unlit: Option<IgnoredAny>,
+    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
+    pub(super) specular_glossiness: Option<SpecularGlossiness>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -276,7 +279,7 @@ pub(super) struct EmissiveStrength {
 }
 
 /// `textureInfo`, `normalTextureInfo` (`scale`) and `occlusionTextureInfo` (`strength`) in one.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct TextureInfo {
     pub(super) index: usize,
@@ -288,14 +291,14 @@ pub(super) struct TextureInfo {
     pub(super) extensions: TextureInfoExtensions,
 }
 
-#[derive(Debug, Default, Deserialize)]
+#[derive(Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub(super) struct TextureInfoExtensions {
     #[serde(rename = "KHR_texture_transform")]
     pub(super) transform: Option<TextureTransform>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub(super) struct TextureTransform {
     pub(super) offset: [f32; 2],
@@ -396,7 +399,9 @@ impl Document {
         let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
         // The versions first: glTF 1.0 has objects where 2.0 has arrays, and would fail with a misleading message.
         check_head(&parse_at(json)?)?;
-        parse_at(json)
+        let mut document: Self = parse_at(json)?;
+        document.materials.iter_mut().for_each(specular_glossiness::convert);
+        Ok(document)
     }
 }
 

@@ -14,6 +14,7 @@ mod meshes;
 mod nodes;
 mod pose;
 mod primitive;
+mod specular_glossiness;
 mod tangents;
 mod topology;
 mod transform;
@@ -106,7 +107,10 @@ pub fn import_file(path: &Path, limits: &Limits) -> Result<Scene> {
 
 fn warn_about_extensions(document: &Document, session: &mut Session<'_>) {
     for name in &document.extensions_used {
-        if !SUPPORTED_EXTENSIONS.contains(&name.as_str()) {
+        if name == specular_glossiness::NAME {
+            let message = format!("{name} is approximated by metalness and roughness, without its specular textures");
+            session.warnings.add("extensionsUsed", message);
+        } else if !SUPPORTED_EXTENSIONS.contains(&name.as_str()) {
             session.warnings.add("extensionsUsed", format!("{} is not supported and has no effect", uri::quoted(name)));
         }
     }
