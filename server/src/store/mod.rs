@@ -3,6 +3,8 @@
 //!
 //! Every method is one transaction. Times come from the caller: no statement asks a database or a worker for them.
 
+#[cfg(test)]
+mod conformance;
 pub mod sqlite;
 
 use std::collections::BTreeMap;

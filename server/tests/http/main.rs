@@ -1,4 +1,13 @@
 //! The service from outside, one module per part of the API: every endpoint, and every class of error.
 
+mod bad_input;
+mod blobs;
+mod errors;
+mod events;
 mod harness;
+mod jobs;
 mod leases;
+mod openapi;
+mod scenes;
+mod service;
+mod workers;

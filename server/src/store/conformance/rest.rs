@@ -1,0 +1,300 @@
+//! Jobs, scenes, meshes, workers and events.
+
+use std::collections::BTreeMap;
+
+use lightshaft_api::event::EventKind;
+use lightshaft_api::job::{JobState, TaskState};
+use lightshaft_api::lease::RetryClass;
+use lightshaft_api::mesh::NewStructure;
+use lightshaft_api::settings::{Environment, EnvironmentMap, Split};
+
+use super::{Farm, job_record, scene_record};
+use crate::store::{Change, Creation, Idempotency, JobQuery, PageRequest, Removal};
+
+fn first_page(limit: u32) -> PageRequest {
+    PageRequest { limit, after: None }
+}
+
+pub(super) async fn a_job_needs_a_scene(farm: &Farm) {
+    let creation = farm.store.create_job(&job_record("none"), None, farm.now()).await.unwrap();
+    assert_eq!(creation, Creation::UnknownScene);
+    assert!(farm.store.jobs(&JobQuery::default(), &first_page(10)).await.unwrap().is_empty());
+}
+
+pub(super) async fn an_idempotency_key_makes_one_job(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let key = |fingerprint: &str| Idempotency {
+        key: "k".to_owned(),
+        fingerprint: fingerprint.to_owned(),
+        not_before: farm.now() - 1000,
+    };
+    let first = job_record(&scene);
+    assert_eq!(farm.store.create_job(&first, Some(&key("a")), farm.now()).await.unwrap(), Creation::Created);
+    let again = farm.store.create_job(&job_record(&scene), Some(&key("a")), farm.now()).await.unwrap();
+    assert_eq!(again, Creation::Repeated(first.id.clone()));
+    let other = farm.store.create_job(&job_record(&scene), Some(&key("b")), farm.now()).await.unwrap();
+    assert_eq!(other, Creation::KeyReused);
+    assert_eq!(farm.store.repeated_job(&key("a")).await.unwrap(), Some(Creation::Repeated(first.id)));
+    assert_eq!(farm.store.jobs(&JobQuery::default(), &first_page(10)).await.unwrap().len(), 1);
+}
+
+pub(super) async fn an_idempotency_key_is_forgotten(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let key = |fingerprint: &str| Idempotency {
+        key: "k".to_owned(),
+        fingerprint: fingerprint.to_owned(),
+        not_before: farm.now() - 1000,
+    };
+    farm.store.create_job(&job_record(&scene), Some(&key("a")), farm.now()).await.unwrap();
+    farm.wait(1001);
+    assert_eq!(farm.store.repeated_job(&key("b")).await.unwrap(), None);
+    let later = farm.store.create_job(&job_record(&scene), Some(&key("b")), farm.now()).await.unwrap();
+    assert_eq!(later, Creation::Created);
+    assert_eq!(farm.store.forget_before(farm.now() + 1, 0).await.unwrap(), 1);
+}
+
+pub(super) async fn a_merge_waits_for_every_part(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Passes(2))).await;
+    let worker = farm.worker().await;
+    use TaskState::{Blocked, Leased, Ready, Succeeded};
+    assert_eq!(farm.task_states(&job).await, [Ready, Ready, Blocked]);
+    let (first, second) = (farm.claim(&worker).await.unwrap(), farm.claim(&worker).await.unwrap());
+    farm.complete(&second).await;
+    assert_eq!(farm.task_states(&job).await, [Leased, Succeeded, Blocked]);
+    farm.complete(&first).await;
+    let merge = farm.claim(&worker).await.unwrap();
+    let parts: Vec<_> = merge.task.parts.iter().map(|part| part.work.clone()).collect();
+    assert_eq!(parts, [first.task.work.clone(), second.task.work.clone()]);
+    farm.complete(&merge).await;
+    let job = farm.read(&job).await;
+    assert_eq!((job.summary.state, job.artifacts.len()), (JobState::Succeeded, 1));
+    assert_eq!(job.metrics.unwrap().render_s, 3.0, "over all tasks");
+}
+
+pub(super) async fn a_retry_repeats_only_what_did_not_succeed(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Passes(2))).await;
+    let worker = farm.worker().await;
+    let (good, bad) = (farm.claim(&worker).await.unwrap(), farm.claim(&worker).await.unwrap());
+    farm.complete(&good).await;
+    farm.fail_for_good(&bad).await;
+    assert_eq!(farm.state(&job).await, JobState::Failed);
+    assert_eq!(farm.store.retry_job(&job, farm.now()).await.unwrap(), Change::Done);
+    use TaskState::{Blocked, Ready, Succeeded};
+    assert_eq!(farm.task_states(&job).await, [Succeeded, Ready, Blocked]);
+    let read = farm.read(&job).await;
+    assert_eq!((read.summary.state, read.summary.error, read.summary.finished_at), (JobState::Running, None, None));
+    for _ in 0..2 {
+        let held = farm.claim(&worker).await.unwrap();
+        farm.complete(&held).await;
+    }
+    assert_eq!(farm.state(&job).await, JobState::Succeeded);
+}
+
+pub(super) async fn running_and_succeeded_jobs_are_not_retried(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job(&scene).await;
+    let worker = farm.worker().await;
+    let retry = || farm.store.retry_job(&job, farm.now());
+    assert_eq!(retry().await.unwrap(), Change::Refused(JobState::Queued));
+    let held = farm.claim(&worker).await.unwrap();
+    assert_eq!(retry().await.unwrap(), Change::Refused(JobState::Running));
+    farm.complete(&held).await;
+    assert_eq!(retry().await.unwrap(), Change::Refused(JobState::Succeeded));
+    assert_eq!(farm.store.retry_job("none", farm.now()).await.unwrap(), Change::Unknown);
+}
+
+pub(super) async fn cancelling_is_idempotent_and_refused_at_the_end(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job(&scene).await;
+    for _ in 0..2 {
+        assert_eq!(farm.store.cancel_job(&job, farm.now()).await.unwrap(), Change::Done);
+        assert_eq!(farm.state(&job).await, JobState::Cancelled);
+    }
+    let worker = farm.worker().await;
+    assert!(farm.claim(&worker).await.is_none());
+    let done = farm.job(&scene).await;
+    let held = farm.claim(&worker).await.unwrap();
+    farm.complete(&held).await;
+    let refused = farm.store.cancel_job(&done, farm.now()).await.unwrap();
+    assert_eq!(refused, Change::Refused(JobState::Succeeded));
+    assert_eq!(farm.store.cancel_job("none", farm.now()).await.unwrap(), Change::Unknown);
+}
+
+pub(super) async fn jobs_are_listed_newest_first_and_filtered(farm: &Farm) {
+    let ((one, _), (two, _)) = (farm.scene().await, farm.scene().await);
+    let label = |key: &str, value: &str| BTreeMap::from([(key.to_owned(), value.to_owned())]);
+    let plain = farm.job(&one).await;
+    let labelled = farm.job_with(&two, |job| job.labels = label("suite", "Night")).await;
+    let automatic = farm.job_with(&two, |job| job.automatic = true).await;
+    farm.store.cancel_job(&plain, farm.now()).await.unwrap();
+    let list = |query: JobQuery| async move {
+        let jobs = farm.store.jobs(&query, &first_page(10)).await.unwrap();
+        jobs.into_iter().map(|job| job.id).collect::<Vec<_>>()
+    };
+    let all = JobQuery::default();
+    assert_eq!(list(all.clone()).await, [automatic.clone(), labelled.clone(), plain.clone()]);
+    let state = Some(JobState::Cancelled);
+    assert_eq!(list(JobQuery { state, ..all.clone() }).await, [plain.clone()]);
+    let scene = Some(two.clone());
+    assert_eq!(list(JobQuery { scene, ..all.clone() }).await, [automatic.clone(), labelled.clone()]);
+    assert_eq!(list(JobQuery { automatic: Some(true), ..all.clone() }).await, [automatic.clone()]);
+    assert_eq!(list(JobQuery { automatic: Some(false), ..all.clone() }).await, [labelled.clone(), plain.clone()]);
+    assert_eq!(list(JobQuery { labels: label("suite", "Night"), ..all.clone() }).await, [labelled.clone()]);
+    assert!(list(JobQuery { labels: label("suite", "Day"), ..all.clone() }).await.is_empty());
+    let text = |text: &str| JobQuery { text: Some(text.to_owned()), ..all.clone() };
+    assert_eq!(list(text("night")).await, [labelled]);
+    assert_eq!(list(text("SCENE 0")).await, [plain.clone()]);
+    assert_eq!(list(text(&plain)).await, [plain]);
+    assert!(list(text("%")).await.is_empty(), "text is text, not a pattern");
+}
+
+pub(super) async fn pages_join_without_gap_or_repeat(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let mut made = Vec::new();
+    for _ in 0..7 {
+        made.push(farm.job(&scene).await);
+    }
+    made.reverse();
+    let (mut seen, mut after) = (Vec::new(), None);
+    loop {
+        let page = farm.store.jobs(&JobQuery::default(), &PageRequest { limit: 3, after }).await.unwrap();
+        let Some(last) = page.last() else { break };
+        after = Some(last.id.clone());
+        seen.extend(page.into_iter().map(|job| job.id));
+        farm.job(&scene).await;
+    }
+    assert_eq!(seen, made, "jobs made meanwhile do not shift the pages");
+}
+
+pub(super) async fn events_tell_a_jobs_story_in_order(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job(&scene).await;
+    farm.job(&scene).await;
+    let worker = farm.worker().await;
+    let held = farm.claim(&worker).await.unwrap();
+    farm.fail(&held, RetryClass::Task).await;
+    let held = farm.claim(&worker).await.unwrap();
+    farm.complete(&held).await;
+    let events = farm.store.events_after(0, Some(&job), 100).await.unwrap();
+    let kinds: Vec<_> = events.iter().map(|event| event.kind).collect();
+    use EventKind::{JobChanged, JobCreated, JobStarted, JobSucceeded, TaskLeased, TaskRetried, TaskSucceeded};
+    let story = [
+        JobCreated,
+        JobStarted,
+        TaskLeased,
+        TaskRetried,
+        JobChanged,
+        JobChanged,
+        TaskLeased,
+        TaskSucceeded,
+        JobSucceeded,
+    ];
+    assert_eq!(kinds, story);
+    let third = events[2].id.unwrap();
+    let rest = farm.store.events_after(third, Some(&job), 2).await.unwrap();
+    assert_eq!(rest, events[3..5], "resuming goes on after the last one seen");
+    assert!(farm.store.last_event().await.unwrap() > third);
+}
+
+pub(super) async fn the_same_scene_is_kept_once(farm: &Farm) {
+    let first = farm.store.insert_scene(&scene_record(7, "m"), farm.now()).await.unwrap();
+    let second = farm.store.insert_scene(&scene_record(7, "m"), farm.now()).await.unwrap();
+    assert_eq!((first.1, second.1, &first.0), (true, false, &second.0));
+    assert_eq!(farm.store.scenes(&first_page(10)).await.unwrap().len(), 1);
+    assert_eq!(farm.store.scene_by_hash("scene 7").await.unwrap().unwrap().id, first.0);
+    assert_eq!(farm.store.delete_scene(&first.0, farm.now()).await.unwrap(), Removal::Done);
+    assert_eq!(farm.store.delete_scene(&first.0, farm.now()).await.unwrap(), Removal::Unknown);
+    let third = farm.store.insert_scene(&scene_record(7, "m"), farm.now()).await.unwrap();
+    assert!(third.1 && third.0 != first.0, "after its deletion it is a new one");
+}
+
+pub(super) async fn a_scene_in_use_is_not_deleted(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job(&scene).await;
+    assert_eq!(farm.store.delete_scene(&scene, farm.now()).await.unwrap(), Removal::InUse);
+    farm.store.cancel_job(&job, farm.now()).await.unwrap();
+    assert_eq!(farm.store.delete_scene(&scene, farm.now()).await.unwrap(), Removal::Done);
+    assert!(farm.store.scene(&scene).await.unwrap().is_none());
+    assert_eq!(farm.read(&job).await.summary.scene_name, "Scene 0", "finished jobs stay");
+    assert_eq!(farm.store.retry_job(&job, farm.now()).await.unwrap(), Change::SceneGone);
+    let creation = farm.store.create_job(&job_record(&scene), None, farm.now()).await.unwrap();
+    assert_eq!(creation, Creation::UnknownScene);
+}
+
+pub(super) async fn deleting_a_scene_cancels_its_automatic_jobs(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.automatic = true).await;
+    assert_eq!(farm.store.delete_scene(&scene, farm.now()).await.unwrap(), Removal::Done);
+    assert_eq!(farm.state(&job).await, JobState::Cancelled);
+}
+
+pub(super) async fn the_first_structure_of_a_key_is_kept(farm: &Farm) {
+    let (_, mesh) = farm.scene().await;
+    let structure = |blob: &str| NewStructure {
+        kind: "bvh".to_owned(),
+        parameters: "quality=medium".to_owned(),
+        builder_version: 1,
+        bytes: 10,
+        build_s: 0.5,
+        blob: blob.to_owned(),
+    };
+    let first = farm.store.add_structure(&mesh, &structure("a"), farm.now()).await.unwrap().unwrap();
+    let second = farm.store.add_structure(&mesh, &structure("b"), farm.now()).await.unwrap().unwrap();
+    assert_eq!((first.blob.as_str(), second.blob.as_str()), ("a", "a"));
+    assert_eq!(farm.store.mesh(&mesh).await.unwrap().unwrap().structures, [first]);
+    assert!(farm.store.add_structure("none", &structure("a"), farm.now()).await.unwrap().is_none());
+    assert_eq!(farm.store.meshes(&first_page(10)).await.unwrap().len(), 1);
+}
+
+pub(super) async fn used_blobs_are_known(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| {
+        let map = EnvironmentMap { map: "sky".to_owned(), intensity: 1.0, rotation_deg: 0.0 };
+        job.settings.environment = Some(Environment::Map(map));
+    });
+    job.await;
+    let worker = farm.worker().await;
+    let held = farm.claim(&worker).await.unwrap();
+    farm.complete(&held).await;
+    for used in ["file of 0", "sky", &format!("blob of {}", held.token)] {
+        assert!(farm.store.is_blob_used(used).await.unwrap(), "{used}");
+    }
+    assert!(!farm.store.is_blob_used("other").await.unwrap());
+    assert_eq!(farm.store.scene_blobs(&scene).await.unwrap(), ["file of 0"]);
+    farm.store.delete_scene(&scene, farm.now()).await.unwrap();
+    assert!(!farm.store.is_blob_used("file of 0").await.unwrap());
+}
+
+pub(super) async fn a_busy_worker_is_not_removed(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    farm.job(&scene).await;
+    let worker = farm.worker().await;
+    let held = farm.claim(&worker).await.unwrap();
+    assert_eq!(farm.store.worker(&worker).await.unwrap().unwrap().current.unwrap().task, held.task.task);
+    assert_eq!(farm.store.remove_worker(&worker, farm.now()).await.unwrap(), Removal::InUse);
+    farm.complete(&held).await;
+    assert_eq!(farm.store.remove_worker(&worker, farm.now()).await.unwrap(), Removal::Done);
+    assert_eq!(farm.store.remove_worker(&worker, farm.now()).await.unwrap(), Removal::Unknown);
+    assert!(farm.store.workers().await.unwrap().is_empty());
+}
+
+pub(super) async fn the_store_can_be_written(farm: &Farm) {
+    farm.store.check_writable(farm.now()).await.unwrap();
+    farm.store.check_writable(farm.now() + 1).await.unwrap();
+    farm.store.checkpoint().await.unwrap();
+}
+
+pub(super) async fn totals_count_everything(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([3, 1]))).await;
+    let cancelled = farm.job(&scene).await;
+    farm.store.cancel_job(&cancelled, farm.now()).await.unwrap();
+    let worker = farm.worker().await;
+    farm.claim(&worker).await.unwrap();
+    let totals = farm.store.totals().await.unwrap();
+    assert_eq!((totals.jobs.running, totals.jobs.cancelled, totals.scenes), (1, 1, 1));
+    let tasks = totals.tasks;
+    assert_eq!((tasks.leased, tasks.ready, tasks.blocked, tasks.cancelled), (1, 2, 1, 1));
+}
