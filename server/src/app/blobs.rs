@@ -69,7 +69,11 @@ impl App {
     }
 
     /// Deletes those of these blobs that nothing names any more.
-    pub async fn delete_unused(&self, hashes: impl IntoIterator<Item = String>) -> ApiResult<u64> {
+    pub async fn delete_unused(&self, hashes: impl IntoIterator<Item = String, IntoIter: Send>) -> ApiResult<u64> {
+        let mut hashes = hashes.into_iter().peekable();
+        if hashes.peek().is_none() {
+            return Ok(0);
+        }
         let _alone = self.blob_use.write().await;
         let mut deleted = 0;
         for hash in hashes {

@@ -117,7 +117,9 @@ impl App {
                 }
             }
         }
-        job.preview = self.live.preview_of(id).map(|_| format!("/v1/jobs/{id}/preview.png"));
+        if !job.summary.state.is_final() {
+            job.preview = self.live.preview_of(id).map(|_| format!("/v1/jobs/{id}/preview.png"));
+        }
         self.add_live_progress(&mut job.summary);
         Ok(job)
     }
@@ -170,9 +172,9 @@ impl App {
 
     /// Hash of the picture so far.
     pub async fn preview(&self, id: &str) -> ApiResult<String> {
-        self.job(id).await?;
+        let is_shown = self.job(id).await?.preview.is_some();
         let none = || ApiError::new(Code::NotFound, "the job has no picture in progress at the moment");
-        self.live.preview_of(id).ok_or_else(none)
+        self.live.preview_of(id).filter(|_| is_shown).ok_or_else(none)
     }
 
     /// Logs of all attempts of a job under headings, or that of one.

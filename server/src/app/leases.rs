@@ -159,13 +159,13 @@ impl App {
     }
 
     pub async fn complete(&self, token: &str, report: &Complete) -> ApiResult<LeaseClosed> {
-        let _in_use = self.blob_use.read().await;
+        let in_use = self.blob_use.read().await;
         let errors = self.check_artifacts(&report.artifacts).await?;
         if !errors.is_empty() {
             return Err(ApiError::fields(errors));
         }
         let close = self.store.complete(token, report, self.now()).await?;
-        drop(_in_use);
+        drop(in_use);
         if matches!(close, Close::Closed(_)) {
             for cache in &report.metrics.cache {
                 counter!("lightshaft_structures_total", "source" => cache.source.as_str()).increment(1);

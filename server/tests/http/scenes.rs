@@ -1,7 +1,7 @@
 //! `/v1/scenes`
 
 use std::io::Write;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use http::StatusCode;
 use lightshaft_api::client::{ScenePart, Upload};
@@ -142,18 +142,20 @@ async fn a_new_scene_gets_a_thumbnail() {
 async fn a_50_megabyte_upload_is_quick() {
     let service = Service::start().await;
     let client = service.listen().await;
-    let vertices = 4_200_000 / 3 * 3;
-    let binary: Vec<u8> = (0..vertices)
-        .flat_map(|i: u32| [i as f32, (i % 1000) as f32, (i % 7) as f32])
-        .flat_map(f32::to_le_bytes)
-        .collect();
+    let vertices = 4_200_000u32;
+    // Every three in a row make a triangle with an area.
+    let vertex = |i: u32| [i as f32, if i % 3 == 1 { 1.0 } else { 0.0 }, 0.0];
+    let binary: Vec<u8> = (0..vertices).flat_map(vertex).flat_map(f32::to_le_bytes).collect();
     let mut document = triangle_document(binary.len(), None);
     document["accessors"][0]["count"] = json!(vertices);
-    document["accessors"][0]["max"] = json!([vertices - 1, 999, 6]);
+    document["accessors"][0]["max"] = json!([vertices - 1, 1, 0]);
     let bytes = glb(&document, &binary);
     let size = bytes.len();
     let started = Instant::now();
     let (scene, _) = client.upload_scene(glb_upload(bytes), None).await.unwrap();
-    println!("{} MB and {} triangles in {:?}", size / 1_000_000, scene.summary.triangles_total, started.elapsed());
+    let elapsed = started.elapsed();
+    println!("{} MB and {} triangles in {elapsed:?}", size / 1_000_000, scene.summary.triangles_total);
+    // Wanted is 2 s on a machine that does nothing else; the rest is for one that runs many tests.
+    assert!(elapsed < Duration::from_secs(6), "{elapsed:?}");
     assert!(size > 50_000_000 && scene.summary.triangles_total == u64::from(vertices / 3));
 }
