@@ -136,16 +136,16 @@ pub(super) async fn jobs_are_listed_newest_first_and_filtered(farm: &Farm) {
     let all = JobQuery::default();
     assert_eq!(list(all.clone()).await, [automatic.clone(), labelled.clone(), plain.clone()]);
     let state = Some(JobState::Cancelled);
-    assert_eq!(list(JobQuery { state, ..all.clone() }).await, [plain.clone()]);
+    assert_eq!(list(JobQuery { state, ..all.clone() }).await, [plain.as_str()]);
     let scene = Some(two.clone());
     assert_eq!(list(JobQuery { scene, ..all.clone() }).await, [automatic.clone(), labelled.clone()]);
-    assert_eq!(list(JobQuery { automatic: Some(true), ..all.clone() }).await, [automatic.clone()]);
+    assert_eq!(list(JobQuery { automatic: Some(true), ..all.clone() }).await, [automatic.as_str()]);
     assert_eq!(list(JobQuery { automatic: Some(false), ..all.clone() }).await, [labelled.clone(), plain.clone()]);
-    assert_eq!(list(JobQuery { labels: label("suite", "Night"), ..all.clone() }).await, [labelled.clone()]);
+    assert_eq!(list(JobQuery { labels: label("suite", "Night"), ..all.clone() }).await, [labelled.as_str()]);
     assert!(list(JobQuery { labels: label("suite", "Day"), ..all.clone() }).await.is_empty());
     let text = |text: &str| JobQuery { text: Some(text.to_owned()), ..all.clone() };
     assert_eq!(list(text("night")).await, [labelled]);
-    assert_eq!(list(text("SCENE 0")).await, [plain.clone()]);
+    assert_eq!(list(text("SCENE 0")).await, [plain.as_str()]);
     assert_eq!(list(text(&plain)).await, [plain]);
     assert!(list(text("%")).await.is_empty(), "text is text, not a pattern");
 }
