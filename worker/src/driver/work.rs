@@ -20,6 +20,8 @@ use crate::protocol::{Epoch, Input, Outcome};
 /// Between two tries to upload an artifact.
 const UPLOAD_PAUSE: Duration = Duration::from_secs(1);
 
+const MAX_ERROR_CHARS: usize = 4000;
+
 /// How long a task's end waits for its last log lines to arrive.
 const LOG_PATIENCE: Duration = Duration::from_secs(3);
 
@@ -50,11 +52,11 @@ impl Running {
         let stop = Arc::new(AtomicBool::new(false));
         let span = tracing::info_span!(
             "task",
-            job = lease.job,
-            task = lease.task,
+            job.id = lease.job,
+            task.id = lease.task,
             attempt = lease.attempt_number,
-            worker,
-            trace_id = lease.traceparent.split('-').nth(1).unwrap_or_default(),
+            worker.id = worker,
+            trace.id = lease.traceparent.split('-').nth(1).unwrap_or_default(),
         );
         let token = lease.token.clone();
         let work = Work {
