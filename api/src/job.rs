@@ -377,15 +377,17 @@ impl Metrics {
     }
 }
 
-/// Appends `other` to a comma-separated list unless it is there already.
+/// Appends the items of `other` to a list separated by semicolons (names of devices hold commas), each only once.
 fn join_distinct(list: &mut String, other: &str) {
-    if other.is_empty() || list.split(", ").any(|item| item == other) {
-        return;
+    for item in other.split("; ").filter(|item| !item.is_empty()) {
+        if list.split("; ").any(|known| known == item) {
+            continue;
+        }
+        if !list.is_empty() {
+            list.push_str("; ");
+        }
+        list.push_str(item);
     }
-    if !list.is_empty() {
-        list.push_str(", ");
-    }
-    list.push_str(other);
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -442,7 +444,7 @@ mod tests {
             render_s: 1.0,
             rays: RayCounts { primary: 1_000_000, ..RayCounts::default() },
             structure_bytes: 10,
-            device: "CPU".into(),
+            device: "AVX2, 2 threads".into(),
             spp: 4,
             warnings: vec!["w".into()],
             ..Metrics::default()
@@ -459,9 +461,10 @@ mod tests {
         sum.add(&other);
         assert_eq!(sum.mrays_per_s, 2.0);
         assert_eq!((sum.structure_bytes, sum.spp), (30, 8));
-        assert_eq!(sum.device, "CPU, GPU");
+        assert_eq!(sum.device, "AVX2, 2 threads; GPU");
         assert_eq!(sum.warnings, ["w"]);
         sum.add(&other);
-        assert_eq!(sum.device, "CPU, GPU");
+        sum.add(&sum.clone());
+        assert_eq!(sum.device, "AVX2, 2 threads; GPU");
     }
 }

@@ -1,8 +1,8 @@
 //! Log lines on standard error.
 
-use std::io::IsTerminal;
+use lightshaft_server::telemetry;
 
-use tracing_subscriber::EnvFilter;
+use super::error::{CliError, Result};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum LogFormat {
@@ -20,13 +20,14 @@ impl LogFormat {
 }
 
 /// `LIGHTSHAFT_LOG` overrides `default_level`.
-pub(crate) fn init(format: LogFormat, default_level: &str) {
-    let filter = EnvFilter::try_from_env("LIGHTSHAFT_LOG")
-        // Drivers and libraries speak up from warnings on.
-        .unwrap_or_else(|_| EnvFilter::new(format!("warn,lightshaft={default_level},lightshaft_server={default_level},lightshaft_worker={default_level},lightshaft_engine=warn")));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    match format {
-        LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).with_target(false).init(),
-        LogFormat::Json => builder.json().flatten_event(true).with_current_span(false).with_span_list(true).init(),
-    }
+pub(crate) fn init(format: LogFormat, default_level: &str) -> Result<()> {
+    // Drivers and libraries speak up from warnings on.
+    let ours = ["lightshaft", "lightshaft_server", "lightshaft_worker"];
+    let ours = ours.map(|name| format!("{name}={default_level}")).join(",");
+    let filter = std::env::var("LIGHTSHAFT_LOG").unwrap_or_else(|_| format!("warn,{ours}"));
+    let format = match format {
+        LogFormat::Text => telemetry::LogFormat::Text,
+        LogFormat::Json => telemetry::LogFormat::Json,
+    };
+    telemetry::init(format, &filter).map_err(|error| CliError::usage(format!("LIGHTSHAFT_LOG: {error}")))
 }

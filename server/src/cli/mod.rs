@@ -9,6 +9,7 @@ mod devices;
 mod error;
 mod job;
 mod logging;
+mod openapi;
 mod output;
 mod picture;
 mod progress;
@@ -70,13 +71,15 @@ enum Command {
     Devices,
     /// Print shell completions.
     Completions(completions::Args),
+    /// Print the OpenAPI document of the service.
+    Openapi,
 }
 
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let is_daemon = matches!(cli.command, Command::Serve(_) | Command::Worker(_));
-    logging::init(cli.global.log_format, if is_daemon { "info" } else { "warn" });
-    match run(cli) {
+    let logging = logging::init(cli.global.log_format, if is_daemon { "info" } else { "warn" });
+    match logging.and_then(|()| run(cli)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             error.print();
@@ -96,6 +99,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Compare(args) => compare::run(&args, global),
         Command::Devices => devices::run(global),
         Command::Completions(args) => completions::run(&args),
+        Command::Openapi => openapi::run(),
     }
 }
 
@@ -164,6 +168,7 @@ mod tests {
             "lightshaft job log j",
             "lightshaft devices --json",
             "lightshaft completions bash",
+            "lightshaft openapi",
         ] {
             let words = line.split_whitespace();
             assert!(Cli::try_parse_from(words).is_ok(), "{line}");

@@ -126,7 +126,11 @@ impl Work {
         match result {
             Ok(complete) => Outcome::Done(complete),
             Err(TaskError::Stopped) => Outcome::Stopped,
-            Err(TaskError::Failed { class, fatal, message }) => Outcome::Failed(Fail { class, error: message, fatal }),
+            Err(TaskError::Failed { class, fatal, message }) => {
+                // A message may quote what a file holds; the service takes no more than 16 KiB.
+                let error = message.chars().take(MAX_ERROR_CHARS).collect();
+                Outcome::Failed(Fail { class, error, fatal })
+            }
         }
     }
 

@@ -234,8 +234,6 @@ impl Executor {
             earlier.add(&cost);
             decoded.push((work, part));
         }
-        metrics.device = "merge".into();
-        metrics.device_kind = "cpu".into();
         Ok((part::merge(full, decoded)?, earlier))
     }
 }
