@@ -60,7 +60,7 @@ pub enum Input {
 /// How the work on a task ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    Done(Complete),
+    Done(Box<Complete>),
     Failed(Fail),
     /// It noticed that it was asked to stop.
     Stopped,
@@ -111,7 +111,7 @@ pub enum Effect {
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum Report {
-    Complete(Complete),
+    Complete(Box<Complete>),
     Fail(Fail),
     Release(Release),
 }

@@ -64,7 +64,7 @@ enum Command {
     #[command(subcommand)]
     Job(job::Command),
     /// Render a scene file here, without a service.
-    Render(render::Args),
+    Render(Box<render::Args>),
     /// Compare two pictures.
     Compare(compare::Args),
     /// List the devices of this machine.
@@ -95,7 +95,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Worker(args) => block_on(worker::run(args, global)),
         Command::Scene(command) => scene::run(command, global),
         Command::Job(command) => block_on(job::run(command, global)),
-        Command::Render(args) => render::run(args, global),
+        Command::Render(args) => render::run(&args, global),
         Command::Compare(args) => compare::run(&args, global),
         Command::Devices => devices::run(global),
         Command::Completions(args) => completions::run(&args),

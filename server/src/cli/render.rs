@@ -35,7 +35,7 @@ pub(crate) struct Args {
     settings: SettingsArgs,
 }
 
-pub(crate) fn run(args: Args, global: &Global) -> Result<()> {
+pub(crate) fn run(args: &Args, global: &Global) -> Result<()> {
     let inputs = LocalInputs { scene: args.file.clone(), maps: HashMap::new() };
     let (settings, inputs) = args.resolve(inputs)?;
     let executor = args.executor(&settings)?;

@@ -124,7 +124,7 @@ impl Work {
             Err(error) => Err(error),
         };
         match result {
-            Ok(complete) => Outcome::Done(complete),
+            Ok(complete) => Outcome::Done(Box::new(complete)),
             Err(TaskError::Stopped) => Outcome::Stopped,
             Err(TaskError::Failed { class, fatal, message }) => {
                 // A message may quote what a file holds; the service takes no more than 16 KiB.

@@ -16,7 +16,7 @@ use super::{Global, output};
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Command {
     /// Submit a render of an uploaded scene, or of a file.
-    Submit(submit::Args),
+    Submit(Box<submit::Args>),
     /// Follow a job to its end; exit code 1 unless it succeeds.
     Watch { job: String },
     /// List jobs, newest first.
@@ -61,7 +61,7 @@ pub(crate) enum Command {
 pub(crate) async fn run(command: Command, global: &Global) -> Result<()> {
     let client = global.client()?;
     match command {
-        Command::Submit(args) => submit::run(args, &client, global).await,
+        Command::Submit(args) => submit::run(&args, &client, global).await,
         Command::Watch { job } => watch::run(&job, &client, global).await,
         Command::List { state, scene, labels, limit } => {
             let filter = JobFilter { state, scene, labels: parse_labels(&labels)?, ..JobFilter::default() };

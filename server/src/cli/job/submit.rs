@@ -39,7 +39,7 @@ pub(crate) struct Args {
     settings: SettingsArgs,
 }
 
-pub(crate) async fn run(args: Args, client: &Client, global: &Global) -> Result<()> {
+pub(crate) async fn run(args: &Args, client: &Client, global: &Global) -> Result<()> {
     let mut chosen = args.settings.read()?;
     if let Some(path) = chosen.environment_file.clone() {
         let blob = client.store_blob_file(&path).await?;

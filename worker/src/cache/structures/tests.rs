@@ -7,7 +7,7 @@ use lightshaft_engine::accel::Quality;
 use lightshaft_engine::scene::{Limits, Params, Source, generate, import};
 
 const PARAMS: BuildParams = BuildParams { quality: Quality::Medium, spatial_splits: false };
-const GO: AtomicBool = AtomicBool::new(false);
+static GO: AtomicBool = AtomicBool::new(false);
 
 fn mesh() -> Arc<Mesh> {
     let glb = generate("furnace-sphere", &Params { triangles: Some(2_000), ..Params::default() }).unwrap();
