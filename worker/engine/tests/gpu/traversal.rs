@@ -99,7 +99,7 @@ fn slivers_and_degenerate_triangles() {
 #[test]
 fn closed_surface_has_no_holes() {
     let shape = ball(40, Vec3::ZERO, 1.0);
-    let pair = pair(&[shape.clone()], &[place(Affine3A::IDENTITY)]);
+    let pair = pair(std::slice::from_ref(&shape), &[place(Affine3A::IDENTITY)]);
     let mut random = Random(5);
     // From inside, at vertices, at points on edges, and anywhere: nothing gets out.
     let rays: Vec<Ray> = (0..20_000)
