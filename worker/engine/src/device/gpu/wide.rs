@@ -143,15 +143,19 @@ impl Source<'_> {
         Subtree { root: Part::Run(first), bounds, count }
     }
 
-    /// Up to eight parts of a subtree: the one with the largest surface is opened until they fill the node.
+    /// Up to eight parts of a subtree: the one with the largest surface is opened until they fill the node. Parts that
+    /// fit a leaf slot come last: where slots are left over, smaller leaf boxes are tested at no cost.
     fn open(&self, subtree: &Subtree) -> Vec<Subtree> {
         let mut parts = Vec::with_capacity(WIDTH);
-        parts.extend(self.split(subtree));
+        // A tree of one primitive has an empty half.
+        parts.extend(self.split(subtree).into_iter().filter(|part| part.count > 0));
         while parts.len() < WIDTH {
-            let best = (0..parts.len())
-                .filter(|&i| parts[i].count > MAX_LEAF)
-                .max_by(|&a, &b| half_area(parts[a].bounds).total_cmp(&half_area(parts[b].bounds)));
-            let Some(best) = best else { break };
+            let largest = |more_than: u32| {
+                (0..parts.len())
+                    .filter(|&i: &usize| parts[i].count > more_than)
+                    .max_by(|&a, &b| half_area(parts[a].bounds).total_cmp(&half_area(parts[b].bounds)))
+            };
+            let Some(best) = largest(MAX_LEAF).or_else(|| largest(1)) else { break };
             let [a, b] = self.split(&parts.swap_remove(best));
             parts.push(a);
             parts.push(b);
