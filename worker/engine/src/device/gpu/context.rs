@@ -37,14 +37,6 @@ impl Context {
         let adapter = adapter::select(name)?;
         let info = adapter::describe(&adapter);
         let limits = adapter.limits();
-        if limits.max_storage_buffers_per_shader_stage < adapter::REQUIRED_STORAGE_BUFFERS {
-            return Err(DeviceError::NoAdapter(format!(
-                "`{}` binds {} storage buffers per shader stage, {} are needed",
-                info.name,
-                limits.max_storage_buffers_per_shader_stage,
-                adapter::REQUIRED_STORAGE_BUFFERS
-            )));
-        }
         let descriptor =
             wgpu::DeviceDescriptor { label: Some("lightshaft"), required_limits: limits.clone(), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -56,6 +48,19 @@ impl Context {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| fail(&uncaptured, error.to_string())));
         let checks = cfg!(test) || std::env::var_os("LIGHTSHAFT_SHADER_CHECKS").is_some_and(|v| v == "1");
         Ok(Self { device, queue, info, limits, checks, failure, turn: Mutex::default(), pipelines: Mutex::default() })
+    }
+
+    /// Fails when shading stages cannot bind all that they need; tracing alone needs no more than any adapter has.
+    pub(super) fn check_can_shade(&self) -> Result<(), DeviceError> {
+        let has = self.limits.max_storage_buffers_per_shader_stage;
+        if has >= adapter::REQUIRED_STORAGE_BUFFERS {
+            return Ok(());
+        }
+        Err(DeviceError::NoAdapter(format!(
+            "`{}` binds {has} storage buffers per shader stage, {} are needed",
+            self.info.name,
+            adapter::REQUIRED_STORAGE_BUFFERS
+        )))
     }
 
     /// Gives the device up, as if its driver had been reset: all work on it fails from now on.

@@ -38,9 +38,11 @@ impl GpuDevice {
     /// Opens the preferred adapter, or the first whose name contains `adapter` (case-insensitive).
     ///
     /// # Errors
-    /// [`DeviceError::NoAdapter`] with a list of what there is.
+    /// [`DeviceError::NoAdapter`] with a list of what there is, or with what the adapter lacks.
     pub fn open(adapter: Option<&str>) -> Result<Self, DeviceError> {
-        Ok(Self { adapter: adapter.map(str::to_owned), context: Arc::new(Context::open(adapter)?) })
+        let context = Arc::new(Context::open(adapter)?);
+        context.check_can_shade()?;
+        Ok(Self { adapter: adapter.map(str::to_owned), context })
     }
 
     /// The device that renders on `context`, for whoever shares it.

@@ -28,8 +28,13 @@ fn module(
     replacements: &[(&'static str, &'static str)],
 ) -> naga::Module {
     let flag = |name, value: bool| (name, value.to_string());
-    let constants =
-        vec![("STACK_SIZE", "16u".to_owned()), flag("ANY_HIT", any_hit), flag("SPHERES", true), flag("COUNTING", true)];
+    let constants = vec![
+        ("STACK_SIZE", "16u".to_owned()),
+        flag("ANY_HIT", any_hit),
+        flag("SPHERES", true),
+        flag("FILTERED", true),
+        flag("COUNTING", true),
+    ];
     let source = compose(stage, &Variant { constants, pools: &pools(chunks), replacements });
     let module = naga::front::wgsl::parse_str(&source.wgsl)
         .unwrap_or_else(|e| panic!("{stage}: {}", e.emit_to_string_with_path(&source.wgsl, stage)));
@@ -203,7 +208,8 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         ao_index,
         ao_distance,
         infinity,
-        accumulated
+        accumulated,
+        zero
     );
     assert_layout!(&shade, "Ray", GpuRay, origin, t_min, direction, t_max);
     assert_layout!(&shade, "Hit", GpuHit, t, u, v, instance, primitive);
