@@ -11,7 +11,7 @@ mod workers;
 
 use std::time::Duration;
 
-use reqwest::header::{ACCEPT, CONTENT_TYPE};
+use reqwest::header::{ACCEPT, CONTENT_TYPE, HeaderMap, RETRY_AFTER};
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -33,14 +33,14 @@ pub struct Client {
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// The service answered, and said no.
-    #[error("{0}")]
-    Problem(Box<Problem>),
+    #[error("{problem}")]
+    Problem { problem: Box<Problem>, retry_after: Option<Duration> },
     /// No answer: not reachable, cut off, or too late.
     #[error("no answer from {url}: {source}")]
     Transport { url: String, source: reqwest::Error },
     /// An answer that is not in the API's form: most likely not a Lightshaft service.
     #[error("{url} answered {status} in an unexpected form: {detail}")]
-    Unexpected { url: String, status: u16, detail: String },
+    Unexpected { url: String, status: u16, detail: String, retry_after: Option<Duration> },
     #[error("`{url}` is no address of a service: {detail} (expected something like http://127.0.0.1:8080)")]
     Address { url: String, detail: String },
     #[error("{path}: {source}")]
@@ -51,7 +51,7 @@ impl ClientError {
     /// The HTTP status, where there was an answer.
     pub fn status(&self) -> Option<u16> {
         match self {
-            Self::Problem(problem) => Some(problem.status),
+            Self::Problem { problem, .. } => Some(problem.status),
             Self::Unexpected { status, .. } => Some(*status),
             Self::Transport { .. } | Self::Address { .. } | Self::File { .. } => None,
         }
@@ -59,8 +59,16 @@ impl ClientError {
 
     pub fn problem(&self) -> Option<&Problem> {
         match self {
-            Self::Problem(problem) => Some(problem),
+            Self::Problem { problem, .. } => Some(problem),
             _ => None,
+        }
+    }
+
+    /// How long the answer asked to wait before the same call is made again.
+    pub fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Problem { retry_after, .. } | Self::Unexpected { retry_after, .. } => *retry_after,
+            Self::Transport { .. } | Self::Address { .. } | Self::File { .. } => None,
         }
     }
 
@@ -69,7 +77,7 @@ impl ClientError {
         match self {
             Self::Transport { .. } => true,
             Self::Address { .. } | Self::File { .. } => false,
-            Self::Problem(_) | Self::Unexpected { .. } => {
+            Self::Problem { .. } | Self::Unexpected { .. } => {
                 self.status().is_some_and(|status| status == 408 || status == 429 || status >= 500)
             }
         }
@@ -138,6 +146,7 @@ impl Client {
         }
         let url = response.url().to_string();
         let status = response.status().as_u16();
+        let retry_after = retry_after(response.headers());
         let is_problem = response
             .headers()
             .get(CONTENT_TYPE)
@@ -145,10 +154,10 @@ impl Client {
             .is_some_and(|value| value.starts_with("application/problem+json"));
         let body = response.bytes().await.map_err(transport)?;
         if is_problem && let Ok(problem) = serde_json::from_slice::<Problem>(&body) {
-            return Err(ClientError::Problem(Box::new(problem)));
+            return Err(ClientError::Problem { problem: Box::new(problem), retry_after });
         }
         let start: String = String::from_utf8_lossy(&body).chars().take(200).collect();
-        Err(ClientError::Unexpected { url, status, detail: start })
+        Err(ClientError::Unexpected { url, status, detail: start, retry_after })
     }
 
     async fn read_json<T: DeserializeOwned>(response: Response) -> Result<T> {
@@ -159,6 +168,7 @@ impl Client {
             url,
             status,
             detail: error.to_string(),
+            retry_after: None,
         })
     }
 
@@ -178,6 +188,11 @@ impl Client {
 fn transport(source: reqwest::Error) -> ClientError {
     let url = source.url().map_or_else(|| "the service".to_owned(), Url::to_string);
     ClientError::Transport { url, source: source.without_url() }
+}
+
+/// `Retry-After` in seconds (RFC 9110, section 10.2.3); its other form, a date, would need the clocks to agree.
+fn retry_after(headers: &HeaderMap) -> Option<Duration> {
+    headers.get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
 }
 
 /// One segment of a path: ids and names come from users and files.
@@ -206,6 +221,17 @@ mod tests {
         for wrong in ["localhost:8080", "", "ftp://farm", "http://"] {
             assert!(matches!(Client::new(wrong), Err(ClientError::Address { .. })), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_wait_that_is_asked_for_is_read_in_seconds() {
+        let read = |value: &'static str| {
+            retry_after(&HeaderMap::from_iter([(RETRY_AFTER, reqwest::header::HeaderValue::from_static(value))]))
+        };
+        assert_eq!(read("5"), Some(Duration::from_secs(5)));
+        assert_eq!(read("Fri, 31 Dec 1999 23:59:59 GMT"), None);
+        assert_eq!(read("-1"), None);
+        assert_eq!(retry_after(&HeaderMap::new()), None);
     }
 
     #[test]

@@ -12,7 +12,7 @@ pub struct Event {
     pub at: Timestamp,
     pub job: String,
     pub kind: EventKind,
-    /// `task`, `attempt`, `worker`, `error`, `class`, `progress`, `phase`, `spp`, `href`: what the kind has to say.
+    /// `task`, `attempt`, `worker`, `error`, `class`, `progress` (of the task), `job_progress`, `phase`, `spp`, `href`: what the kind has to say.
     #[serde(default)]
     pub data: serde_json::Value,
 }

@@ -151,6 +151,8 @@ pub struct Job {
     pub attempts: Vec<Attempt>,
     pub artifacts: Vec<Artifact>,
     pub metrics: Option<Metrics>,
+    /// Why none of its tasks runs, while the job waits.
+    pub waiting: Option<String>,
     /// Where the picture so far is, while the job runs and a worker has sent one.
     pub preview: Option<String>,
 }
@@ -223,6 +225,10 @@ pub struct Task {
     /// Attempts spent.
     pub attempt: u32,
     pub max_attempts: u32,
+    /// From when on a waiting task may run: in the future after a failure that is worth a pause.
+    pub ready_at: Option<Timestamp>,
+    /// What it failed of where no attempt says it: no worker has the device that it demands.
+    pub error: Option<String>,
 }
 
 /// One lease of one task. Never overwritten.
@@ -318,6 +324,12 @@ pub struct Artifact {
 /// Measured by the worker; summed over a job's tasks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Metrics {
+    /// From when the first task could run, most often the submission, until a worker leased it; null without a service.
+    #[serde(default)]
+    pub queue_s: Option<f64>,
+    /// From the same moment until its first tile began to be rendered; without a service, from the start.
+    #[serde(default)]
+    pub first_tile_s: Option<f64>,
     /// Fetching and decoding the scene.
     pub scene_s: f64,
     /// Getting every structure: built, loaded or fetched.
@@ -345,9 +357,11 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Adds another task of the same job: times and rays add up; sizes and samples are those of the largest, since tasks
+    /// Adds another task of the same job: times and rays add up, but the first task says when the job began; sizes and samples are those of the largest, since tasks
     /// share the same structures and a merge reports the samples of the whole picture.
     pub fn add(&mut self, other: &Self) {
+        self.queue_s = earliest(self.queue_s, other.queue_s);
+        self.first_tile_s = earliest(self.first_tile_s, other.first_tile_s);
         self.scene_s += other.scene_s;
         self.build_s += other.build_s;
         self.prepare_s += other.prepare_s;
@@ -375,6 +389,10 @@ impl Metrics {
             }
         }
     }
+}
+
+fn earliest(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    a.into_iter().chain(b).min_by(f64::total_cmp)
 }
 
 /// Appends the items of `other` to a list separated by semicolons (names of devices hold commas), each only once.
@@ -441,6 +459,7 @@ mod tests {
     #[test]
     fn metrics_of_two_tasks_add_up() {
         let mut sum = Metrics {
+            queue_s: Some(0.5),
             render_s: 1.0,
             rays: RayCounts { primary: 1_000_000, ..RayCounts::default() },
             structure_bytes: 10,
@@ -450,6 +469,8 @@ mod tests {
             ..Metrics::default()
         };
         let other = Metrics {
+            queue_s: Some(0.2),
+            first_tile_s: Some(0.3),
             render_s: 3.0,
             rays: RayCounts { shadow: 7_000_000, ..RayCounts::default() },
             structure_bytes: 30,
@@ -460,6 +481,7 @@ mod tests {
         };
         sum.add(&other);
         assert_eq!(sum.mrays_per_s, 2.0);
+        assert_eq!((sum.queue_s, sum.first_tile_s), (Some(0.2), Some(0.3)), "those of the first task");
         assert_eq!((sum.structure_bytes, sum.spp), (30, 8));
         assert_eq!(sum.device, "AVX2, 2 threads; GPU");
         assert_eq!(sum.warnings, ["w"]);

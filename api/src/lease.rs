@@ -45,6 +45,8 @@ pub struct Lease {
     pub task: String,
     pub attempt: String,
     pub attempt_number: u32,
+    /// From when the task could run until this lease.
+    pub waited_s: f64,
     /// W3C traceparent to go on with.
     pub traceparent: String,
     pub work: TaskWork,

@@ -1,5 +1,7 @@
 //! Meshes and the structures that exist for them.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -24,6 +26,24 @@ pub struct Structure {
     /// Ids of workers that hold it warm.
     #[serde(default)]
     pub workers: Vec<String>,
+}
+
+/// Body of `POST /v1/meshes:structures`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FindStructures {
+    /// Hashes, at most 4096.
+    pub meshes: Vec<String>,
+    pub kind: String,
+    pub parameters: String,
+    pub builder_version: u32,
+}
+
+/// Answer to `POST /v1/meshes:structures`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FoundStructures {
+    /// Blob of the encoded structure by mesh hash; meshes without one are not named.
+    pub blobs: BTreeMap<String, String>,
 }
 
 /// Body of `POST /v1/meshes/{hash}/structures`, after the blob itself was put.

@@ -15,6 +15,8 @@ pub struct Config {
     pub insecure_local: bool,
     /// How long a worker may be silent before its task goes to another. Heartbeats come at a third of it.
     pub lease_ttl: Duration,
+    /// How long a job waits for a worker with the device that it demands while there are workers without. Then it fails.
+    pub device_grace: Duration,
     /// Render a small picture of every new scene.
     pub thumbnails: bool,
     /// How long requests in progress may take to end after a shutdown was asked for.
@@ -48,6 +50,7 @@ impl Config {
             data_dir,
             insecure_local: false,
             lease_ttl: Duration::from_secs(60),
+            device_grace: Duration::from_secs(10),
             thumbnails: true,
             shutdown_deadline: Duration::from_secs(10),
             limits: Limits::default(),

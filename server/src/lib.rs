@@ -12,6 +12,7 @@ pub mod clock;
 pub mod config;
 pub mod dashboard;
 pub mod error;
+mod lock;
 pub mod problems;
 pub mod queue;
 pub mod reconcile;
@@ -28,6 +29,7 @@ use app::App;
 use blob::{BlobError, BlobStore};
 use clock::SystemClock;
 pub use config::{Config, Limits};
+use lock::FolderLock;
 use store::StoreError;
 use store::sqlite::SqliteStore;
 use tokio::net::TcpListener;
@@ -46,6 +48,10 @@ pub enum ServeError {
     Listen { address: SocketAddr, source: std::io::Error },
     #[error("cannot use the folder {path}: {source}")]
     Data { path: String, source: std::io::Error },
+    #[error(
+        "the folder {0} is in use by another `lightshaft serve`: stop that one, or give this one a folder of its own by --data"
+    )]
+    InUse(String),
     #[error(transparent)]
     Store(#[from] StoreError),
     #[error(transparent)]
@@ -71,6 +77,9 @@ pub async fn serve(
     telemetry::metrics()?;
     let data_error = |source| ServeError::Data { path: config.data_dir.display().to_string(), source };
     tokio::fs::create_dir_all(&config.data_dir).await.map_err(data_error)?;
+    let _lock = FolderLock::take(&config.data_dir)
+        .map_err(data_error)?
+        .ok_or_else(|| ServeError::InUse(config.data_dir.display().to_string()))?;
     let store = Arc::new(SqliteStore::open(&config.data_dir.join("lightshaft.db")).await?);
     let blobs = BlobStore::open(&config.data_dir).await?;
     let listen_error = |source| ServeError::Listen { address: config.listen, source };

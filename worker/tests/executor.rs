@@ -27,6 +27,10 @@ fn generated(kind: &'static str) -> Generated {
 }
 
 impl Inputs for Generated {
+    fn waited_s(&self) -> Option<f64> {
+        Some(1.5)
+    }
+
     fn scene_key(&self) -> Option<String> {
         Some(self.kind.to_owned())
     }

@@ -9,7 +9,7 @@ use tokio::io::AsyncWriteExt;
 
 use super::{Client, ClientError, Result, segment, transport};
 use crate::blob::{BlobQuery, MissingBlobs, StoredBlob};
-use crate::mesh::{Mesh, NewStructure, Structure};
+use crate::mesh::{FindStructures, FoundStructures, Mesh, NewStructure, Structure};
 use crate::page::Page;
 
 impl Client {
@@ -50,6 +50,11 @@ impl Client {
 
     pub async fn mesh(&self, hash: &str) -> Result<Mesh> {
         self.get_json(&format!("v1/meshes/{}", segment(hash)), &()).await
+    }
+
+    /// Which of these meshes have a structure of one kind, and where it is.
+    pub async fn find_structures(&self, wanted: &FindStructures) -> Result<FoundStructures> {
+        self.post_json("v1/meshes:structures", wanted).await
     }
 
     /// Tells of a structure whose blob was put before.

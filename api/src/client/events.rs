@@ -60,6 +60,7 @@ impl Reader {
                     url: self.url.clone(),
                     status: 200,
                     detail: error.to_string(),
+                    retry_after: None,
                 });
             }
             match self.body.next().await {

@@ -3,7 +3,7 @@
 use axum::body::Body;
 use futures::{StreamExt, TryStreamExt};
 use lightshaft_api::blob::{StoredBlob, is_hash};
-use lightshaft_api::mesh::{Mesh, NewStructure, Structure};
+use lightshaft_api::mesh::{FindStructures, FoundStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::problem::FieldError;
 
 use super::App;
@@ -106,6 +106,17 @@ impl App {
         let mut mesh = self.store.mesh(hash).await?.ok_or_else(|| ApiError::not_found("mesh", hash))?;
         self.add_warm_workers(&mut mesh);
         Ok(mesh)
+    }
+
+    pub async fn find_structures(&self, wanted: &FindStructures) -> ApiResult<FoundStructures> {
+        if wanted.meshes.len() > 4096 {
+            return Err(ApiError::fields(vec![FieldError::new("/meshes", "must be at most 4096 hashes")]));
+        }
+        if let Some(i) = wanted.meshes.iter().position(|hash| !is_hash(hash)) {
+            let detail = "must be 64 lower-case hex digits";
+            return Err(ApiError::fields(vec![FieldError::new(format!("/meshes/{i}"), detail)]));
+        }
+        Ok(FoundStructures { blobs: self.store.find_structures(wanted).await? })
     }
 
     fn add_warm_workers(&self, mesh: &mut Mesh) {

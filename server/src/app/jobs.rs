@@ -12,7 +12,7 @@ use super::App;
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
 use crate::queue::plan;
-use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, PageRequest};
+use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, ListedJob, PageRequest};
 use crate::web::context;
 
 const DEFAULT_MAX_ATTEMPTS: u32 = 3;
@@ -108,10 +108,11 @@ impl App {
     }
 
     pub async fn job(&self, id: &str) -> ApiResult<Job> {
+        let running = self.live.tasks();
         let mut job = self.store.job(id).await?.ok_or_else(|| ApiError::not_found("job", id))?;
         for task in job.tasks.iter_mut().filter(|task| task.state == TaskState::Leased) {
-            if let Some(live) = self.live.task(&task.id) {
-                task.progress = live.progress;
+            if let Some(live) = running.get(&task.id) {
+                task.progress = task.progress.max(live.progress);
                 if let Some(attempt) = job.attempts.iter_mut().rfind(|attempt| attempt.task == task.id) {
                     attempt.phase = Some(live.phase);
                 }
@@ -120,21 +121,19 @@ impl App {
         if !job.summary.state.is_final() {
             job.preview = self.live.preview_of(id).map(|_| format!("/v1/jobs/{id}/preview.png"));
         }
-        self.add_live_progress(&mut job.summary);
+        job.summary.progress = job.tasks.iter().map(|task| task.progress).sum::<f64>() / job.tasks.len().max(1) as f64;
+        job.waiting = self.why_waiting(&job).await?;
         Ok(job)
     }
 
     pub async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> ApiResult<Vec<JobSummary>> {
-        let mut jobs = self.store.jobs(query, page).await?;
-        jobs.iter_mut().for_each(|job| self.add_live_progress(job));
-        Ok(jobs)
-    }
-
-    fn add_live_progress(&self, job: &mut JobSummary) {
-        if !job.state.is_final() && job.tasks_total > 0 {
-            let surplus = self.live.job_surplus(&job.id) / f64::from(job.tasks_total);
-            job.progress = (job.progress + surplus).clamp(0.0, 1.0);
-        }
+        let running = self.live.tasks();
+        let jobs = self.store.jobs(query, page).await?.into_iter();
+        let with_live = |job: ListedJob| {
+            let progress = job.progress.of_job(|task| Some(running.get(task)?.progress));
+            JobSummary { progress, ..job.summary }
+        };
+        Ok(jobs.map(with_live).collect())
     }
 
     pub async fn cancel_job(&self, id: &str) -> ApiResult<Job> {
@@ -186,6 +185,9 @@ impl App {
                 return Err(ApiError::not_found("attempt of this job", wanted));
             }
             return self.logs.read(wanted).await.map_err(ApiError::internal);
+        }
+        if job.attempts.is_empty() {
+            return Ok("=== no attempt has begun\n".to_owned());
         }
         let mut text = String::new();
         for attempt in &job.attempts {

@@ -94,6 +94,7 @@ impl App {
             task: task.task,
             attempt: claim.attempt,
             attempt_number: task.number,
+            waited_s: task.waited_ms.max(0) as f64 / 1000.0,
             traceparent: traceparent(&task.trace_id),
             work: task.work,
             settings: task.settings,
@@ -118,16 +119,14 @@ impl App {
         self.sign_of_life(&state.worker).await?;
         let renewed_ago = now + self.ttl_ms() - state.expires_at;
         let mut expires_at = state.expires_at;
-        let mut flushed = None;
         if renewed_ago > self.ttl_ms() / 6 || state.phase != Some(heartbeat.phase) {
             expires_at = now + self.ttl_ms();
             let progress = heartbeat.progress.clamp(0.0, 1.0);
             if !self.store.renew(token, heartbeat.phase, progress, expires_at, now).await? {
                 return Err(lease_ended(Code::LeaseEnded));
             }
-            flushed = Some(progress);
         }
-        self.show_progress(&state, heartbeat, flushed).await?;
+        self.show_progress(&state, heartbeat).await?;
         Ok(HeartbeatReply {
             expires_at: timestamp(expires_at)?,
             cancel: state.cancel_requested,
@@ -135,13 +134,16 @@ impl App {
         })
     }
 
-    async fn show_progress(&self, state: &LeaseState, heartbeat: &Heartbeat, flushed: Option<f64>) -> ApiResult<()> {
-        let beat = self.live.beat(&state.job, &state.task, heartbeat, flushed);
+    async fn show_progress(&self, state: &LeaseState, heartbeat: &Heartbeat) -> ApiResult<()> {
+        let beat = self.live.beat(&state.job, &state.task, heartbeat);
+        let running = self.live.tasks();
+        let job_progress = self.store.task_progress(&state.job).await?.of_job(|task| Some(running.get(task)?.progress));
         let event = |kind, data| -> ApiResult<Event> {
             Ok(Event { id: None, at: timestamp(self.now())?, job: state.job.clone(), kind, data })
         };
         let progress = json!({
-            "task": state.task, "progress": heartbeat.progress, "phase": heartbeat.phase, "spp": heartbeat.spp,
+            "task": state.task, "progress": heartbeat.progress, "job_progress": job_progress,
+            "phase": heartbeat.phase, "spp": heartbeat.spp,
         });
         self.tell_progress(event(EventKind::JobProgress, progress)?);
         if beat.new_preview {
@@ -178,6 +180,7 @@ impl App {
         if report.error.len() > 16 << 10 {
             return Err(ApiError::fields(vec![FieldError::new("/error", "must have at most 16384 bytes")]));
         }
+        self.keep_progress(token).await?;
         let jitter = rand::random_range(-1.0..=1.0);
         let close = self.store.fail(token, report, jitter, self.now()).await?;
         let expected = report.class.outcome();
@@ -185,9 +188,20 @@ impl App {
     }
 
     pub async fn release(&self, token: &str, report: &Release) -> ApiResult<LeaseClosed> {
+        self.keep_progress(token).await?;
         let close = self.store.release(token, report.cancelled, self.now()).await?;
         let released = |outcome| matches!(outcome, AttemptOutcome::Interrupted | AttemptOutcome::Cancelled);
         self.close(token, close, released).await
+    }
+
+    /// Before a lease ends without success: how far it got is known only here.
+    async fn keep_progress(&self, token: &str) -> ApiResult<()> {
+        if let Some(state) = self.store.lease(token).await?
+            && let Some(progress) = self.live.progress_of(&state.task)
+        {
+            self.store.note_progress(token, progress).await?;
+        }
+        Ok(())
     }
 
     /// A repeated report is answered like the first; any other report on an ended lease is stale.

@@ -8,10 +8,8 @@ use lightshaft_api::job::Phase;
 use lightshaft_api::lease::Heartbeat;
 use lightshaft_api::worker::CacheStatus;
 
-use crate::queue::Millis;
+use crate::queue::{GONE_AFTER_MS, Millis};
 
-/// A worker that has not been heard of for this long is gone.
-pub(super) const GONE_AFTER_MS: Millis = 90_000;
 /// How often a worker's sign of life is written down.
 const SEEN_FLUSH_MS: Millis = 15_000;
 
@@ -38,9 +36,8 @@ pub(super) struct LiveWorker {
 pub(super) struct LiveTask {
     pub(super) job: String,
     pub(super) phase: Phase,
+    /// Never falls while the lease lasts.
     pub(super) progress: f64,
-    /// What the database holds.
-    pub(super) flushed: f64,
     pub(super) preview: Option<String>,
 }
 
@@ -92,20 +89,16 @@ impl Live {
         ids
     }
 
-    pub(super) fn beat(&self, job: &str, task: &str, heartbeat: &Heartbeat, flushed: Option<f64>) -> Beat {
+    pub(super) fn beat(&self, job: &str, task: &str, heartbeat: &Heartbeat) -> Beat {
         let mut state = self.lock();
         let live = state.tasks.entry(task.to_owned()).or_insert_with(|| LiveTask {
             job: job.to_owned(),
             phase: heartbeat.phase,
             progress: 0.0,
-            flushed: 0.0,
             preview: None,
         });
         live.phase = heartbeat.phase;
-        live.progress = heartbeat.progress.clamp(0.0, 1.0);
-        if let Some(flushed) = flushed {
-            live.flushed = flushed;
-        }
+        live.progress = heartbeat.progress.clamp(0.0, 1.0).max(live.progress);
         let new_preview = heartbeat.preview.is_some() && heartbeat.preview != live.preview;
         let old_preview = if new_preview { live.preview.take() } else { None };
         if new_preview {
@@ -114,19 +107,18 @@ impl Live {
         Beat { old_preview, new_preview }
     }
 
-    pub(super) fn task(&self, task: &str) -> Option<LiveTask> {
-        self.lock().tasks.get(task).cloned()
+    /// Everything that runs. To be asked before the database is: a task that ends in between then counts as done.
+    pub(super) fn tasks(&self) -> HashMap<String, LiveTask> {
+        self.lock().tasks.clone()
+    }
+
+    pub(super) fn progress_of(&self, task: &str) -> Option<f64> {
+        self.lock().tasks.get(task).map(|task| task.progress)
     }
 
     /// Forgets a task whose lease has ended; returns its last preview.
     pub(super) fn end_task(&self, task: &str) -> Option<String> {
         self.lock().tasks.remove(task)?.preview
-    }
-
-    /// Progress of a job's tasks beyond what the database holds, summed.
-    pub(super) fn job_surplus(&self, job: &str) -> f64 {
-        let state = self.lock();
-        state.tasks.values().filter(|task| task.job == job).map(|task| task.progress - task.flushed).sum()
     }
 
     pub(super) fn preview_of(&self, job: &str) -> Option<String> {

@@ -1,6 +1,7 @@
 //! What the service does, one function per operation; routes and the dashboard both call these.
 
 mod blobs;
+mod demand;
 mod events;
 pub mod import;
 mod jobs;
@@ -18,6 +19,7 @@ use lightshaft_api::event::Event;
 use tokio::sync::{RwLock, Semaphore, broadcast, watch};
 use tokio_util::sync::CancellationToken;
 
+use self::demand::RollCall;
 pub use self::events::EventStream;
 pub use self::jobs::{Created, KEY_LIFETIME_MS, THUMBNAIL_LABEL, is_label_key};
 use self::live::Live;
@@ -42,6 +44,7 @@ pub struct App {
     pub clock: Arc<dyn Clock>,
     pub shutdown: CancellationToken,
     live: Live,
+    roll: RollCall,
     logs: Logs,
     imports: Semaphore,
     /// Read while blobs get a name and then a user, written while unused ones are deleted.
@@ -65,6 +68,7 @@ impl App {
         let logs = Logs::open(&config.data_dir.join("logs")).await?;
         Ok(Arc::new(Self {
             imports: Semaphore::new(config.limits.concurrent_imports.max(1)),
+            roll: RollCall::new(clock.now()),
             config,
             store,
             blobs,

@@ -4,10 +4,10 @@ use lightshaft_api::problem::FieldError;
 use lightshaft_api::worker::{NewWorker, Registered, Worker, WorkerState};
 use uuid::Uuid;
 
-use super::live::GONE_AFTER_MS;
 use super::{App, live::LiveWorker};
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
+use crate::queue::GONE_AFTER_MS;
 use crate::store::Removal;
 
 impl App {

@@ -40,11 +40,11 @@ impl From<ClientError> for CliError {
         let message = error.to_string();
         match &error {
             ClientError::Address { .. } | ClientError::File { .. } => Self::usage(message),
-            ClientError::Problem(problem) if (400..500).contains(&problem.status) && !error.is_transient() => {
+            ClientError::Problem { problem, .. } if (400..500).contains(&problem.status) && !error.is_transient() => {
                 Self::usage(message)
             }
             ClientError::Transport { source, .. } => Self::system(format!("{message}{}", causes(source))),
-            ClientError::Problem(_) | ClientError::Unexpected { .. } => Self::system(message),
+            ClientError::Problem { .. } | ClientError::Unexpected { .. } => Self::system(message),
         }
     }
 }
@@ -82,7 +82,7 @@ mod tests {
                 errors: vec![],
                 request_id: None,
             };
-            CliError::from(ClientError::Problem(Box::new(problem))).code()
+            CliError::from(ClientError::Problem { problem: Box::new(problem), retry_after: None }).code()
         };
         assert_eq!([400, 404, 422].map(code), [2, 2, 2]);
         assert_eq!([429, 500, 503].map(code), [3, 3, 3]);

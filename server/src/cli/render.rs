@@ -103,6 +103,10 @@ struct LocalInputs {
 }
 
 impl Inputs for LocalInputs {
+    fn waited_s(&self) -> Option<f64> {
+        None
+    }
+
     fn scene_key(&self) -> Option<String> {
         None
     }

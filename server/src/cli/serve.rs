@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use lightshaft_api::settings::DeviceChoice;
+use lightshaft_engine::scene::Limits as SceneLimits;
 use lightshaft_server::{Config, ServeError};
 use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
@@ -34,20 +35,31 @@ pub(crate) struct Args {
     /// Seconds that a worker may be silent before its task goes to another.
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=3600), value_name = "SECONDS")]
     lease_ttl_s: u64,
+    /// Seconds that a job waits for a worker with the device that it demands while all workers lack it. Then it fails.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(0..=604_800), value_name = "SECONDS")]
+    device_grace_s: u64,
     /// Do not render a small picture of every new scene.
     #[arg(long)]
     no_thumbnails: bool,
     /// Megabytes of the largest upload of a scene.
     #[arg(long, default_value_t = 2048, value_name = "MB")]
     max_scene_mb: u64,
+    /// Budgets of one scene that differ from the defaults, such as {"triangles": 1000000, "instances": 10000}; docs/SCENES.md
+    /// lists them.
+    #[arg(long, value_parser = parse_limits, default_value = "{}", hide_default_value = true, value_name = "JSON")]
+    scene_limits: SceneLimits,
 }
 
 pub(crate) async fn run(args: Args, global: &Global) -> Result<()> {
     let mut config = Config::new(args.listen, args.data.clone());
     config.insecure_local = args.insecure_local;
     config.lease_ttl = Duration::from_secs(args.lease_ttl_s);
+    config.device_grace = Duration::from_secs(args.device_grace_s);
     config.thumbnails = !args.no_thumbnails;
     config.limits.scene_bytes = args.max_scene_mb.saturating_mul(1 << 20);
+    config.limits.import = args.scene_limits.clone();
+    // What may be uploaded may also be read.
+    config.limits.import.input_bytes = config.limits.import.input_bytes.max(config.limits.scene_bytes);
 
     let stop = stop_signal()?;
     let shutdown = CancellationToken::new();
@@ -99,6 +111,10 @@ impl Args {
             })
             .collect()
     }
+}
+
+fn parse_limits(text: &str) -> std::result::Result<SceneLimits, String> {
+    serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
 fn own_program() -> Result<PathBuf> {

@@ -57,7 +57,7 @@ pub(crate) async fn run(args: Args, global: &Global) -> Result<()> {
     };
     driver::run(config).await.map_err(|error| match error {
         WorkerError::Address(error) => error.into(),
-        WorkerError::Cache { .. } | WorkerError::Refused(_) | WorkerError::Abrupt => {
+        WorkerError::Cache { .. } | WorkerError::NoDevice | WorkerError::Refused(_) | WorkerError::Abrupt => {
             CliError::system(error.to_string())
         }
     })

@@ -14,18 +14,23 @@
 //! A job's state is derived from its tasks' states alone ([`job_state`]). The store applies these rules inside its
 //! transactions; the clock is whatever the caller says it is.
 
+mod demand;
 mod retry;
 mod split;
 
+pub use demand::{Demand, Offer, Roll, gives_up};
 use lightshaft_api::job::JobState;
 pub use retry::{
-    BLOCK_AFTER_FAILURES, BLOCK_MS, Expiry, Failure, Next, WORKER_PATIENCE_MS, after_expiry, after_failure,
+    BLOCK_AFTER_FAILURES, BLOCK_MS, Expiry, Failure, Next, WORKER_PATIENCE_MS, WORKER_PAUSE_MS, after_expiry,
+    after_failure,
 };
 pub use split::plan;
 
 /// Milliseconds since 1970 UTC.
 pub type Millis = i64;
 
+/// A worker that has not been heard of for this long is gone.
+pub const GONE_AFTER_MS: Millis = 90_000;
 /// A task that has waited this long goes before younger tasks whose structures are warm on the asking worker.
 pub const WARM_PATIENCE_MS: Millis = 600_000;
 

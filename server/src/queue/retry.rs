@@ -12,8 +12,11 @@ const BACKOFF_MAX_MS: Millis = 600_000;
 /// Pause of a whole job for which something is missing.
 const DEFER_MS: Millis = 30_000;
 
-/// For this long a task prefers any other worker over the one that failed at it. Not for ever: on a farm of one,
-/// the same worker must get another try.
+/// After a failure of class `worker`, the same worker gets the task again after this pause at the earliest: a driver
+/// that has lost its device may need a moment.
+pub const WORKER_PAUSE_MS: Millis = 2_000;
+/// For this long a task waits for another worker rather than go to the one that failed at it. As the block below, this
+/// holds only while another worker is there that could do it: the last one left gets every attempt that there is.
 pub const WORKER_PATIENCE_MS: Millis = 30_000;
 /// A worker with this many failures of class `worker` at one job is kept from it …
 pub const BLOCK_AFTER_FAILURES: i64 = 2;

@@ -2,6 +2,7 @@
 //! run again by the timer: there are no retries inside.
 
 mod blobs;
+mod demands;
 mod expiry;
 mod leases;
 
@@ -20,6 +21,8 @@ pub fn spawn(app: &Shared) -> JoinSet<()> {
     let look = (ttl / 10).clamp(Duration::from_millis(50), Duration::from_secs(5));
     // Workers may have been unable to reach a service that was down: each gets one full lease to come back.
     chores.spawn(every("leases", app.clone(), ttl, look, leases::run));
+    let often = Duration::from_secs(1);
+    chores.spawn(every("demands", app.clone(), often, often, demands::run));
     chores.spawn(every("expiry", app.clone(), Duration::from_secs(60), Duration::from_secs(600), expiry::run));
     chores.spawn(every("blobs", app.clone(), Duration::from_secs(300), Duration::from_secs(6 * 3600), blobs::run));
     chores

@@ -2,7 +2,7 @@
 
 use axum::Json as Reply;
 use axum::extract::State;
-use lightshaft_api::mesh::{Mesh, NewStructure, Structure};
+use lightshaft_api::mesh::{FindStructures, FoundStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::page::Page;
 use lightshaft_api::problem::Problem;
 
@@ -39,6 +39,21 @@ pub(super) async fn list_meshes(
 )]
 pub(super) async fn get_mesh(State(app): State<Shared>, Id(hash): Id) -> ApiResult<Reply<Mesh>> {
     Ok(Reply(app.mesh(&hash).await?))
+}
+
+/// Which of many meshes have a structure of one kind, and the blobs that hold it: one call for a whole scene.
+#[utoipa::path(
+    post, path = "/v1/meshes:structures", tag = "meshes", request_body = FindStructures,
+    responses(
+        (status = 200, body = FoundStructures),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn find_structures(
+    State(app): State<Shared>,
+    Json(wanted): Json<FindStructures>,
+) -> ApiResult<Reply<FoundStructures>> {
+    Ok(Reply(app.find_structures(&wanted).await?))
 }
 
 /// Tells of a structure whose blob was put before. Of several with the same key, the first is kept and answered.

@@ -72,6 +72,7 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(blobs::missing_blobs))
         .routes(routes!(meshes::list_meshes))
         .routes(routes!(meshes::get_mesh))
+        .routes(routes!(meshes::find_structures))
         .routes(routes!(meshes::add_structure))
         .routes(routes!(workers::list_workers, workers::register_worker))
         .routes(routes!(workers::get_worker, workers::remove_worker))

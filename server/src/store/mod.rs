@@ -14,13 +14,13 @@ use async_trait::async_trait;
 use lightshaft_api::event::Event;
 use lightshaft_api::job::{Artifact, Attempt, AttemptOutcome, Job, JobState, JobSummary, Phase, Task, TaskWork};
 use lightshaft_api::lease::{Complete, Fail, LeaseScene, Part, SceneFile};
-use lightshaft_api::mesh::{Mesh, NewStructure, Structure};
+use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::scene::{Scene, SceneSummary};
 use lightshaft_api::settings::RenderSettings;
 use lightshaft_api::status::StateCounts;
 use lightshaft_api::worker::{NewWorker, Worker};
 
-use crate::queue::{Millis, TaskCounts};
+use crate::queue::{Demand, Millis, TaskCounts};
 
 /// Something is wrong with the database itself; never the client's fault.
 #[derive(Debug, thiserror::Error)]
@@ -81,6 +81,32 @@ pub struct JobRecord {
     pub tasks: Vec<TaskWork>,
     pub trace_id: String,
     pub automatic: bool,
+}
+
+/// How far a job's tasks are, of which the leased ones go on while nobody writes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TaskProgress {
+    pub tasks: u32,
+    /// Summed over all tasks that are not leased.
+    pub settled: f64,
+    /// By id of the leased tasks, as last written.
+    pub leased: BTreeMap<String, f64>,
+}
+
+impl TaskProgress {
+    /// Of the whole job, 0 to 1, when `live` knows better how far leased tasks are.
+    pub fn of_job(&self, live: impl Fn(&str) -> Option<f64>) -> f64 {
+        let running = self.leased.iter().map(|(task, &written)| live(task).map_or(written, |live| live.max(written)));
+        let sum = self.settled + running.sum::<f64>();
+        (sum / f64::from(self.tasks.max(1))).clamp(0.0, 1.0)
+    }
+}
+
+/// A line of the list of jobs.
+#[derive(Clone, Debug)]
+pub struct ListedJob {
+    pub summary: JobSummary,
+    pub progress: TaskProgress,
 }
 
 /// The key of a repeated request, and what the request said.
@@ -182,6 +208,15 @@ pub struct Expired {
     pub again: bool,
 }
 
+/// A job with tasks that could run, were there a worker with the device that they demand.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Demanding {
+    pub job: String,
+    pub demand: Demand,
+    /// From when on the first of its tasks could run.
+    pub ready_since: Millis,
+}
+
 #[derive(Clone, Debug, Default)]
 pub struct Totals {
     pub jobs: StateCounts,
@@ -210,6 +245,8 @@ pub trait Store: Send + Sync + 'static {
     async fn delete_scene(&self, id: &str, now: Millis) -> Result<Removal>;
     async fn meshes(&self, page: &PageRequest) -> Result<Vec<Mesh>>;
     async fn mesh(&self, hash: &str) -> Result<Option<Mesh>>;
+    /// Blobs of the structures that these meshes have, by mesh.
+    async fn find_structures(&self, wanted: &FindStructures) -> Result<BTreeMap<String, String>>;
     /// The first to tell of a structure is kept; `None` for an unknown mesh.
     async fn add_structure(&self, mesh: &str, structure: &NewStructure, now: Millis) -> Result<Option<Structure>>;
     /// Whether a scene, a structure, an artifact or a job's settings name this blob.
@@ -221,13 +258,19 @@ pub trait Store: Send + Sync + 'static {
     /// The job of a key used before, when the request was the same.
     async fn repeated_job(&self, idempotency: &Idempotency) -> Result<Option<Creation>>;
     async fn job(&self, id: &str) -> Result<Option<Job>>;
-    async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<JobSummary>>;
+    async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>>;
+    /// Nothing of an unknown job.
+    async fn task_progress(&self, job: &str) -> Result<TaskProgress>;
     async fn tasks(&self, job: &str) -> Result<Vec<Task>>;
     async fn attempts(&self, job: &str) -> Result<Vec<Attempt>>;
     async fn artifacts(&self, job: &str) -> Result<Vec<Artifact>>;
     async fn cancel_job(&self, id: &str, now: Millis) -> Result<Change>;
     /// Failed, dead and cancelled tasks start afresh; what succeeded stays.
     async fn retry_job(&self, id: &str, now: Millis) -> Result<Change>;
+    /// Jobs that are not paused and have ready tasks that demand a device.
+    async fn demanding_jobs(&self) -> Result<Vec<Demanding>>;
+    /// Fails a job that nobody can do, unless somebody has taken its tasks meanwhile; returns whether.
+    async fn give_up_job(&self, id: &str, error: &str, now: Millis) -> Result<bool>;
     async fn patch_job(&self, id: &str, priority: Option<i32>, paused: Option<bool>, now: Millis) -> Result<Change>;
 
     // Workers and leases.
@@ -246,6 +289,8 @@ pub trait Store: Send + Sync + 'static {
     async fn lease(&self, token: &str) -> Result<Option<LeaseState>>;
     /// False when the lease has ended.
     async fn renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis, now: Millis) -> Result<bool>;
+    /// Notes how far a leased task is, without extending its lease.
+    async fn note_progress(&self, token: &str, progress: f64) -> Result<()>;
     async fn complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Close>;
     /// `jitter` is uniform in -1 to 1.
     async fn fail(&self, token: &str, report: &Fail, jitter: f64, now: Millis) -> Result<Close>;

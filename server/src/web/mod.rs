@@ -5,3 +5,4 @@ pub mod context;
 pub mod file;
 pub mod observe;
 pub mod page;
+pub mod read_on;

@@ -1,4 +1,5 @@
-//! Around every request: its id and span, one access-log line, metrics, and an answer even to a panic.
+//! Around every request: its id and span, one access-log line, metrics, an answer even to a panic, and that answer even
+//! to clients that are still sending.
 
 use std::panic::AssertUnwindSafe;
 use std::time::Instant;
@@ -12,6 +13,7 @@ use metrics::{counter, histogram};
 use tracing::Instrument;
 
 use super::context::Context;
+use super::read_on::read_on;
 use crate::error::ApiError;
 use crate::problems::Code;
 
@@ -30,6 +32,7 @@ pub async fn observe(request: Request, next: Next) -> Response {
         http.route = %route,
     );
     let request_id = HeaderValue::from_str(&context.request_id);
+    let request = read_on(request);
     let answer = async {
         if is_cross_site_write(&method, request.headers()) {
             let detail = "the browser says that this request comes from another site";

@@ -100,3 +100,34 @@ async fn the_client_streams_files_both_ways() {
     let error = client.put_blob(&"0".repeat(64), content).await.unwrap_err();
     assert_eq!(error.problem().unwrap().code(), "hash-mismatch");
 }
+
+#[tokio::test]
+async fn structures_of_many_meshes_are_found_by_one_call() {
+    let service = Service::start().await;
+    let mut meshes = Vec::new();
+    for number in 0..3 {
+        let scene = service.scene(number).await;
+        let scene: Value = service.get(&format!("/v1/scenes/{scene}")).await.json();
+        meshes.push(scene["meshes"][0]["hash"].as_str().unwrap().to_owned());
+    }
+    let blob = service.store_blob("structure").await;
+    let kind = json!({ "kind": "bvh", "parameters": "p", "builder_version": 3 });
+    let mut structure = kind.clone();
+    structure
+        .as_object_mut()
+        .unwrap()
+        .extend(json!({ "bytes": 9, "build_s": 0.1, "blob": blob }).as_object().unwrap().clone());
+    for mesh in &meshes[..2] {
+        let added = service.post(&format!("/v1/meshes/{mesh}/structures"), structure.clone()).await;
+        assert_eq!(added.status, StatusCode::OK);
+    }
+    let find = async |meshes: Value| {
+        let mut wanted = kind.clone();
+        wanted["meshes"] = meshes;
+        service.post("/v1/meshes:structures", wanted).await
+    };
+    let found = find(json!(meshes)).await;
+    assert_eq!(found.json::<Value>()["blobs"], json!({ &meshes[0]: blob, &meshes[1]: blob }));
+    assert_eq!(find(json!(["x"])).await.pointers(), ["/meshes/0"]);
+    assert_eq!(find(json!(vec!["x"; 4097])).await.pointers(), ["/meshes"]);
+}

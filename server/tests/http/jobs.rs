@@ -189,3 +189,64 @@ async fn unknown_jobs_are_not_found() {
     let job = service.job(json!({ "scene": scene })).await.summary.id;
     assert_eq!(service.get(&format!("/v1/jobs/{job}/artifacts/x.png")).await.status, StatusCode::NOT_FOUND);
 }
+
+#[tokio::test]
+async fn a_job_for_a_device_that_no_worker_has_fails_after_the_grace() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let gpu = json!({ "scene": scene, "settings": { "device": "gpu" } });
+    let id = service.job(gpu.clone()).await.summary.id;
+    let grace_ms = service.app.config.device_grace.as_millis() as i64;
+    let tick = async |ms: i64| {
+        service.clock.advance(ms);
+        service.app.give_up_unmet_jobs().await.unwrap();
+        service.read_job(&id).await
+    };
+    let alone = tick(10 * grace_ms).await;
+    assert_eq!(alone.waiting.as_deref(), Some("there is no worker"));
+    assert_eq!(alone.summary.state, JobState::Queued, "workers may join");
+
+    service.worker(&["cpu"]).await;
+    let early = tick(0).await;
+    let why = early.waiting.unwrap();
+    assert!(why.contains("a GPU") && why.contains("`worker` has cpu") && why.contains("10 s"), "{why}");
+    assert_eq!(tick(grace_ms - 1).await.summary.state, JobState::Queued);
+    let failed = tick(1).await;
+    assert_eq!((failed.summary.state, failed.waiting), (JobState::Failed, None));
+    let error = failed.summary.error.unwrap();
+    assert!(error.contains("a GPU") && error.contains("`worker` has cpu"), "{error}");
+    assert!(failed.attempts.is_empty());
+
+    let able = service.worker(&["cpu", "llvmpipe"]).await;
+    let retried = service.post(&format!("/v1/jobs/{id}/retry"), json!(null)).await;
+    assert_eq!(retried.json::<Job>().summary.error, None);
+    assert_eq!(service.lease(&able).await.unwrap().job, id);
+}
+
+#[tokio::test]
+async fn a_waiting_job_says_why() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let (busy, id) = (
+        service.job(json!({ "scene": scene })).await.summary.id,
+        service.job(json!({ "scene": scene })).await.summary.id,
+    );
+    let why = async || service.read_job(&id).await.waiting.unwrap_or_default();
+    assert_eq!(why().await, "there is no worker");
+    let worker = service.worker(&["cpu"]).await;
+    assert_eq!(why().await, "a worker is about to take it");
+    let lease = service.lease(&worker).await.unwrap();
+    assert_eq!(lease.job, busy);
+    assert_eq!(service.read_job(&busy).await.waiting, None);
+    assert_eq!(why().await, "every worker that could do it is busy");
+    service.complete(&lease, "image.png", "x").await;
+    service.post(&format!("/v1/workers/{worker}/drain"), json!(null)).await;
+    assert_eq!(why().await, "every worker that could do it is draining");
+    service.post(&format!("/v1/workers/{worker}/undrain"), json!(null)).await;
+    service.patch(&format!("/v1/jobs/{id}"), json!({ "paused": true })).await;
+    assert_eq!(why().await, "the job is paused");
+    service.patch(&format!("/v1/jobs/{id}"), json!({ "paused": false })).await;
+    let lease = service.lease(&worker).await.unwrap();
+    service.report(&lease, "fail", json!({ "class": "transient", "error": "download" })).await;
+    assert!(why().await.starts_with("the next attempt is at 20"), "{}", why().await);
+}

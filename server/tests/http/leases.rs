@@ -179,6 +179,41 @@ async fn a_split_job_merges_its_parts() {
 }
 
 #[tokio::test]
+async fn progress_never_goes_back_while_a_lease_lasts() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let job = service.job(json!({ "scene": scene, "settings": { "split": { "tiles": [2, 1] } } })).await.summary.id;
+    let first = service.lease(&worker).await.unwrap();
+    let shown = async || {
+        let listed: serde_json::Value = service.get("/v1/jobs").await.json();
+        let read = service.read_job(&job).await;
+        assert_eq!(listed["items"][0]["progress"], read.summary.progress, "the list and the job agree");
+        read.summary.progress
+    };
+    let mut before = 0.0;
+    let beats = [(0.1, 0), (0.4, 0), (0.2, 0), (0.6, 11_000), (0.5, 0), (0.5, 11_000), (0.9, 0)];
+    for (progress, later_ms) in beats {
+        service.clock.advance(later_ms);
+        let beat = json!({ "phase": "render", "progress": progress, "spp": 1 });
+        assert_eq!(service.report(&first, "heartbeat", beat).await.status, StatusCode::OK);
+        let now = shown().await;
+        assert!(now >= before, "from {before} to {now} by a heartbeat of {progress}");
+        before = now;
+    }
+    assert!((before - 0.3).abs() < 1e-9, "nine tenths of one task of three: {before}");
+    service.complete(&first, "part", "left").await;
+    assert!((shown().await - 1.0 / 3.0).abs() < 1e-9);
+
+    let second = service.lease(&worker).await.unwrap();
+    let beat = json!({ "phase": "render", "progress": 0.5, "spp": 1 });
+    service.report(&second, "heartbeat", beat).await;
+    service.post(&format!("/v1/jobs/{job}/cancel"), json!(null)).await;
+    service.report(&second, "release", json!({ "cancelled": true })).await;
+    assert!((shown().await - 0.5).abs() < 1e-9, "a cancelled job stays where it was");
+}
+
+#[tokio::test]
 async fn a_preview_is_shown_while_the_task_runs() {
     let service = Service::start().await;
     let scene = service.scene(0).await;
@@ -207,6 +242,7 @@ async fn logs_are_read_back_by_job_and_by_attempt() {
     let scene = service.scene(0).await;
     let worker = service.worker(&["cpu"]).await;
     let job = service.job(json!({ "scene": scene })).await.summary.id;
+    assert_eq!(service.get(&format!("/v1/jobs/{job}/log")).await.body, b"=== no attempt has begun\n");
     let lease = service.lease(&worker).await.unwrap();
     for _ in 0..2 {
         let chunk = json!({ "first_sequence": 0, "lines": ["loading", "rendering"] });

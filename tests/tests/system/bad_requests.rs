@@ -105,9 +105,53 @@ async fn a_body_that_is_too_large_is_refused_at_once() {
     let head =
         "POST /v1/jobs HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\ncontent-length: 20000000\r\n\r\n";
     socket.write_all(head.as_bytes()).await.unwrap();
-    let mut answer = String::new();
-    socket.read_to_string(&mut answer).await.unwrap();
+    assert_too_large(&mut socket).await;
+}
+
+/// A client that first sends and then reads must find the answer, not a connection reset under its hands.
+#[tokio::test]
+async fn a_client_that_sends_on_still_gets_the_refusal() {
+    let service = Service::start_with(&["--workers", "0"]);
+    let length = 20_000_000;
+    for framing in [format!("content-length: {length}"), "transfer-encoding: chunked".to_owned()] {
+        let mut socket = tokio::net::TcpStream::connect(service.url().trim_start_matches("http://")).await.unwrap();
+        let head = format!("POST /v1/jobs HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n{framing}\r\n\r\n");
+        socket.write_all(head.as_bytes()).await.unwrap();
+        let body = vec![b' '; length];
+        if framing.ends_with("chunked") {
+            socket.write_all(format!("{length:x}\r\n").as_bytes()).await.unwrap();
+        }
+        socket.write_all(&body).await.expect("the service reads on");
+        if framing.ends_with("chunked") {
+            socket.write_all(b"\r\n0\r\n\r\n").await.unwrap();
+        }
+        assert_too_large(&mut socket).await;
+
+        let again = "GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n";
+        socket.write_all(again.as_bytes()).await.expect("the connection lives on");
+        assert!(one_answer(&mut socket).await.starts_with("HTTP/1.1 200 "), "{framing}");
+    }
+}
+
+async fn assert_too_large(socket: &mut tokio::net::TcpStream) {
+    let answer = one_answer(socket).await;
     assert!(answer.starts_with("HTTP/1.1 413 ") && answer.contains("application/problem+json"), "{answer}");
+}
+
+/// One answer, read by its announced length.
+async fn one_answer(socket: &mut tokio::net::TcpStream) -> String {
+    let mut answer = Vec::new();
+    let whole = |answer: &[u8]| {
+        let text = String::from_utf8_lossy(answer).to_lowercase();
+        let Some((head, body)) = text.split_once("\r\n\r\n") else { return false };
+        let length = head.lines().find_map(|line| line.strip_prefix("content-length: ")?.parse::<usize>().ok());
+        body.len() >= length.expect("an answer with a length")
+    };
+    while !whole(&answer) {
+        let read = socket.read_buf(&mut answer).await.expect("an answer, not a reset");
+        assert!(read > 0, "the connection ended after {}", String::from_utf8_lossy(&answer));
+    }
+    String::from_utf8_lossy(&answer).into_owned()
 }
 
 #[tokio::test]

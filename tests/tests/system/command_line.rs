@@ -113,6 +113,20 @@ fn an_address_that_others_reach_must_be_allowed() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("--insecure-local"));
 }
 
+#[tokio::test]
+async fn a_folder_serves_one_service_at_a_time() {
+    let service = Service::start_with(&["--workers", "0"]);
+    let scene = service.scene(Gltf::triangle().glb()).await;
+    let data = service.data();
+    let data = data.to_str().unwrap();
+    let output = run(&["serve", "--listen", "127.0.0.1:0", "--data", data]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{stderr}");
+    assert!(stderr.contains(data) && stderr.contains("in use") && stderr.lines().count() == 1, "{stderr}");
+    assert!(output.stdout.is_empty(), "it never listened");
+    assert_eq!(service.get(&format!("/v1/scenes/{scene}")).await.status, 200, "the first one is unharmed");
+}
+
 #[test]
 fn a_file_renders_without_a_service_and_compares_with_itself() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,7 @@
 //! The same job on both devices, and jobs for devices that are not there. `make test` installs lavapipe.
 
+use std::process::{Command, Output};
+
 use lightshaft_tests::{Service, binary, picture};
 use serde_json::json;
 
@@ -29,8 +31,8 @@ async fn both_devices_give_the_same_picture() {
 }
 
 #[tokio::test]
-async fn a_job_that_no_worker_can_do_waits_and_the_status_says_so() {
-    let service = Service::start_with(&["--device", "cpu"]);
+async fn a_job_for_a_device_that_no_worker_has_fails_and_says_why() {
+    let service = Service::start_with(&["--device", "cpu", "--device-grace-s", "3"]);
     let scene = service.generated(&["cornell-box"]).await;
     service.render(&scene, json!({"width": 16, "height": 16, "spp": 1})).await;
     let id = service.submit(&scene, json!({"width": 16, "height": 16, "spp": 1, "device": "gpu"})).await;
@@ -39,7 +41,19 @@ async fn a_job_that_no_worker_can_do_waits_and_the_status_says_so() {
             (service.get("/v1/status").await.json()["state"] == "waiting").then_some(())
         })
         .await;
-    assert_eq!(service.job(&id).await["state"], "queued");
+    let waiting = service.job(&id).await;
+    assert_eq!(waiting["state"], "queued");
+    assert!(waiting["waiting"].as_str().is_some_and(|why| why.contains("a GPU")), "{waiting:#}");
+    let failed = service.job_in(&id, &["failed"]).await;
+    let error = failed["error"].as_str().unwrap();
+    assert!(error.contains("a GPU") && error.contains("`local-1` has cpu "), "{error}");
+
+    let url = service.url();
+    let submit = ["job", "submit", &scene, "--device", "gpu", "--adapter", "Voodoo 2", "--wait", "--server", url];
+    let output = binary::run(&submit);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("voodoo 2") && stderr.contains("`local-1` has cpu "), "{stderr}");
     service.render(&scene, json!({"width": 16, "height": 16, "spp": 2, "device": "cpu"})).await;
 }
 
@@ -52,4 +66,29 @@ fn an_adapter_that_is_not_there_is_an_error_with_its_name() {
     let output = binary::run(&["render", scene, "-o", out, "--device", "gpu", "--adapter", "Voodoo 2"]);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && stderr.contains("Voodoo 2"), "{stderr}");
+}
+
+/// Without a Vulkan driver there is no adapter, whatever the machine has.
+fn without_adapters(args: &[&str]) -> Output {
+    let mut command = Command::new(binary::lightshaft());
+    for variable in ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"] {
+        command.env(variable, "/no/such/driver.json");
+    }
+    command.args(args).output().expect("lightshaft starts")
+}
+
+#[test]
+fn a_gpu_that_is_not_there_is_a_clear_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (scene, picture, cache) = (path("s.glb"), path("o.png"), path("cache"));
+    binary::run_ok(&["scene", "generate", "cornell-box", "-o", &scene]);
+    let render = ["render", &scene, "-o", &picture, "--device", "gpu"];
+    let worker = ["worker", "--device", "gpu", "--server", "http://127.0.0.1:9", "--cache", &cache];
+    for (args, mentions) in [(&render[..], "no adapter"), (&worker[..], "no GPU was found")] {
+        let output = without_adapters(args);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{args:?}: {stderr}");
+        assert!(stderr.contains(mentions), "{args:?}: {stderr}");
+    }
 }

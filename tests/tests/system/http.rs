@@ -106,6 +106,40 @@ async fn every_answer_carries_a_request_id_and_refuses_to_be_framed() {
     assert_eq!(problem.json()["request_id"], problem.header("x-request-id"));
 }
 
+#[tokio::test]
+async fn one_trace_leads_from_the_submission_through_both_processes_to_the_end() {
+    let service = Service::start_with(&["--log-format", "json"]);
+    let scene = service.scene(Gltf::triangle().glb()).await;
+    let trace = "0af7651916cd43dd8448eb211c80319c";
+    let request =
+        service.request(Method::POST, "/v1/jobs").header("traceparent", format!("00-{trace}-b7ad6b7169203331-01"));
+    let submitted = service.send(request.json(&json!({"scene": scene, "settings": TINY()}))).await.json();
+    assert_eq!(submitted["trace_id"], trace);
+    service.succeeded(submitted["id"].as_str().unwrap()).await;
+
+    let of_trace = || -> Vec<(String, String)> {
+        let log = service.log();
+        let lines = log.lines().filter(|line| line.contains(trace)).filter_map(|line| serde_json::from_str(line).ok());
+        let text = |line: &Value, field: &str| line[field].as_str().unwrap_or_default().to_owned();
+        lines.map(|line: Value| (text(&line, "target"), text(&line, "message"))).collect()
+    };
+    let story = [
+        ("lightshaft_server", "job created"),
+        ("lightshaft_server", "task leased"),
+        ("lightshaft_worker", "task started"),
+        ("lightshaft_worker", "task done"),
+        ("lightshaft_server", "PUT /v1/blobs/{hash} 20"),
+        ("lightshaft_server", "attempt ended"),
+    ];
+    for (process, message) in story {
+        let told = async || {
+            let told = of_trace().iter().any(|(target, text)| target.starts_with(process) && text.starts_with(message));
+            told.then_some(())
+        };
+        service.until(&format!("`{message}` from {process} in the trace"), told).await;
+    }
+}
+
 #[derive(Debug, PartialEq)]
 struct Event {
     id: i64,

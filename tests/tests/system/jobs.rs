@@ -104,11 +104,61 @@ async fn cancelling_ends_a_running_job_within_a_second() {
     service.job_in(&id, &["cancelled"]).await;
     assert!(start.elapsed() < Duration::from_secs(1), "{:?}", start.elapsed());
 
+    let log = service.get(&format!("/v1/jobs/{id}/log")).await.text();
+    assert!(log.contains("begins") && log.contains("stopped"), "{log}");
+
     // The worker is free again, and cancelling twice is no error.
     service.render(&scene, small()).await;
     let again = service.send(service.request(Method::POST, &format!("/v1/jobs/{id}/cancel"))).await;
     assert!(matches!(again.status, 200 | 202 | 409), "{again:?}");
     assert_eq!(service.job(&id).await["state"], "cancelled");
+}
+
+/// With `--nocapture` it prints the figures.
+#[tokio::test]
+async fn the_first_tile_begins_soon_after_the_submission() {
+    let service = Service::start_with(&["--no-thumbnails"]);
+    let scene = service.generated(&["cornell-box"]).await;
+    let mut waits = Vec::new();
+    for seed in 0..20 {
+        let settings = json!({"width": 32, "height": 32, "spp": 1, "seed": seed});
+        let metrics = service.render(&scene, settings).await["metrics"].clone();
+        let seconds = |name: &str| metrics[name].as_f64().unwrap_or_else(|| panic!("{name}: {metrics}"));
+        assert!(seconds("queue_s") <= seconds("first_tile_s"), "{metrics}");
+        waits.push(seconds("first_tile_s"));
+    }
+    // The first one opens the device, imports the scene and builds its structures.
+    let cold = waits.remove(0);
+    waits.sort_by(f64::total_cmp);
+    let (median, worst) = (waits[waits.len() / 2], waits[waits.len() - 1]);
+    println!("from submit to the first tile: first job {cold:.3} s, then median {median:.3} s, worst {worst:.3} s");
+    let goal_s = if cfg!(debug_assertions) { 1.0 } else { 0.15 };
+    assert!(median < goal_s, "{waits:?}");
+}
+
+/// One pass of many seconds, on a picture that takes no time to prepare.
+#[tokio::test]
+async fn progress_moves_within_a_pass_and_never_back() {
+    let service = Service::start();
+    let scene = service.generated(&["demo"]).await;
+    let settings = json!({"width": 2400, "height": 1800, "spp": 1, "device": "cpu", "outputs": ["png"]});
+    let id = service.submit(&scene, settings).await;
+    let mut seen = vec![0.0];
+    service
+        .until("the end", async || {
+            let job = service.job(&id).await;
+            let progress = job["progress"].as_f64().unwrap();
+            let before = *seen.last().unwrap();
+            assert!(progress >= before, "from {before} to {progress}");
+            if progress > before {
+                seen.push(progress);
+            }
+            (job["state"] == "succeeded").then_some(())
+        })
+        .await;
+    assert_eq!(seen.last(), Some(&1.0));
+    let within = seen.iter().filter(|&&progress| progress > 0.1 && progress < 0.97).count();
+    assert!(within >= 3, "a heartbeat comes twice a second, and the one pass takes longer: {seen:?}");
 }
 
 #[tokio::test]

@@ -102,6 +102,27 @@ async fn meshes_list_the_structures_that_exist() {
 }
 
 #[tokio::test]
+async fn budgets_of_scenes_can_be_set() {
+    let limits = ["--workers", "0", "--scene-limits", "{\"triangles\": 1, \"instances\": 1}"];
+    let service = Service::start_with(&limits);
+    service.scene(Gltf::triangle().glb()).await;
+    let two = Gltf::triangle()
+        .with("/scenes/0", json!({"nodes": [0, 1]}))
+        .with("/nodes", json!([{"mesh": 0}, {"mesh": 0, "translation": [2, 0, 0]}]));
+    for (name, bytes, budget) in
+        [("instances", two.glb(), "limit of 1"), ("triangles", generate(&["cornell-box"]), "limit of 1")]
+    {
+        let problem = service.upload("model/gltf-binary", bytes).await.problem(422);
+        let detail = problem["detail"].as_str().unwrap();
+        assert!(detail.contains(name) && detail.contains(budget), "{problem}");
+    }
+    for wrong in ["{\"trinagles\": 1}", "{\"triangles\": -1}", "many"] {
+        let output = lightshaft_tests::binary::run(&["serve", "--scene-limits", wrong, "--data", "/tmp/never"]);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+    }
+}
+
+#[tokio::test]
 async fn a_deleted_scene_is_gone() {
     let service = Service::start_with(&["--workers", "0"]);
     let scene = service.scene(Gltf::triangle().glb()).await;

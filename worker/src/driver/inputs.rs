@@ -1,5 +1,7 @@
 //! A leased task's inputs: blobs through the local cache, structures through the service.
 
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use lightshaft_api::client::{Client, ClientError};
 use lightshaft_api::job::TaskWork;
 use lightshaft_api::lease::{Lease, SceneFile};
-use lightshaft_api::mesh::NewStructure;
+use lightshaft_api::mesh::{FindStructures, NewStructure};
 use lightshaft_engine::accel::StructureKey;
 use lightshaft_engine::scene::{Content, Limits, Source};
 use tokio::runtime::Handle;
@@ -17,8 +19,13 @@ use tokio::task::JoinSet;
 use crate::cache::{BlobCache, Pin, StructureStore};
 use crate::executor::{Inputs, TaskError};
 
+/// Hashes that one look-up may name.
+const LOOKUP_LIMIT: usize = 4096;
 /// Structures that are uploaded at the same time.
 const CONCURRENT_UPLOADS: usize = 4;
+
+/// A structure's key without its mesh: kind, parameters, builder version.
+type StructureKind = (&'static str, String, u32);
 
 pub(super) struct LeasedInputs {
     lease: Arc<Lease>,
@@ -27,6 +34,8 @@ pub(super) struct LeasedInputs {
     runtime: Handle,
     /// The scene's files stay on disk until the task has ended.
     pins: Mutex<Vec<Pin>>,
+    /// What the service has for the scene's meshes, by key; asked for once.
+    known: Mutex<HashMap<StructureKind, BTreeMap<String, String>>>,
     uploads: Arc<Mutex<JoinSet<()>>>,
     upload_slots: Arc<Semaphore>,
 }
@@ -39,6 +48,7 @@ impl LeasedInputs {
             blobs,
             runtime,
             pins: Mutex::default(),
+            known: Mutex::default(),
             uploads: Arc::default(),
             upload_slots: Arc::new(Semaphore::new(CONCURRENT_UPLOADS)),
         }
@@ -58,6 +68,32 @@ impl LeasedInputs {
         let (path, pin) = self.blobs.ensure(hash, download).map_err(|error| download_error(hash, &error))?;
         self.pins.lock().unwrap_or_else(PoisonError::into_inner).push(pin);
         Ok(path)
+    }
+
+    /// The blob of a structure, if the service has it. The first question is asked for all meshes of the scene at once;
+    /// meshes that are not of the scene, such as a ground plane, are not shared.
+    fn known_structure(&self, key: &StructureKey) -> Result<Option<String>, String> {
+        let kind = (key.kind, key.parameters.clone(), key.builder_version);
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let blobs = match known.entry(kind) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(self.find_structures(key).map_err(|error| error.to_string())?),
+        };
+        Ok(blobs.get(&key.mesh.to_string()).cloned())
+    }
+
+    fn find_structures(&self, key: &StructureKey) -> Result<BTreeMap<String, String>, ClientError> {
+        let mut found = BTreeMap::new();
+        for meshes in self.lease.scene.meshes.chunks(LOOKUP_LIMIT) {
+            let wanted = FindStructures {
+                meshes: meshes.to_vec(),
+                kind: key.kind.to_owned(),
+                parameters: key.parameters.clone(),
+                builder_version: key.builder_version,
+            };
+            found.extend(self.runtime.block_on(self.client.find_structures(&wanted))?.blobs);
+        }
+        Ok(found)
     }
 
     fn read_blob(&self, hash: &str) -> Result<Vec<u8>, TaskError> {
@@ -81,6 +117,10 @@ fn download_error(hash: &str, error: &io::Error) -> TaskError {
 }
 
 impl Inputs for LeasedInputs {
+    fn waited_s(&self) -> Option<f64> {
+        Some(self.lease.waited_s)
+    }
+
     fn scene_key(&self) -> Option<String> {
         let mut hasher = blake3::Hasher::new();
         for SceneFile { path, blob, .. } in &self.lease.scene.files {
@@ -120,23 +160,9 @@ impl Inputs for LeasedInputs {
 
 impl StructureStore for LeasedInputs {
     fn fetch(&self, key: &StructureKey) -> Result<Option<Vec<u8>>, String> {
-        self.runtime.block_on(async {
-            let mesh = match self.client.mesh(&key.mesh.to_string()).await {
-                Ok(mesh) => mesh,
-                Err(error) if error.status() == Some(404) => return Ok(None),
-                Err(error) => return Err(error.to_string()),
-            };
-            let known = mesh.structures.iter().find(|s| {
-                s.kind == key.kind && s.parameters == key.parameters && s.builder_version == key.builder_version
-            });
-            match known {
-                None => Ok(None),
-                Some(structure) => {
-                    let bytes = self.client.blob(&structure.blob).await.map_err(|error| error.to_string())?;
-                    Ok(Some(bytes.to_vec()))
-                }
-            }
-        })
+        let Some(blob) = self.known_structure(key)? else { return Ok(None) };
+        let fetched = self.runtime.block_on(self.client.blob(&blob));
+        fetched.map(|bytes| Some(bytes.to_vec())).map_err(|error| error.to_string())
     }
 
     fn publish(&self, key: &StructureKey, encoded: Vec<u8>, build_s: f64) {

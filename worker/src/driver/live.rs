@@ -62,7 +62,9 @@ impl Live {
 
 impl Observer for Live {
     fn progress(&self, progress: Progress) {
-        self.state().progress = progress;
+        let mut state = self.state();
+        let fraction = progress.fraction.max(state.progress.fraction);
+        state.progress = Progress { fraction, spp: progress.spp.max(state.progress.spp), ..progress };
     }
 
     fn log(&self, line: String) {

@@ -78,6 +78,10 @@ pub enum WorkerError {
     Address(ClientError),
     #[error("the cache folder {folder}: {source}")]
     Cache { folder: PathBuf, source: std::io::Error },
+    #[error(
+        "this worker was started with --device gpu, and no GPU was found: see `lightshaft devices`, or start it with --device auto"
+    )]
+    NoDevice,
     #[error("{0}")]
     Refused(String),
     #[error("the worker had to leave before its task was given back")]
@@ -153,12 +157,16 @@ impl Driver {
             StructureCache::new(config.budgets.structures_memory, Some(structures_disk.map_err(cache_error)?));
         let blobs = Arc::new(BlobCache::new(blobs_disk.map_err(cache_error)?));
         let budgets = Budgets { scenes_bytes: config.budgets.scenes_memory };
-        let executor = Arc::new(Executor::new(structures, Devices::new(config.device), budgets, Limits::default()));
+        // The service has held the scene against its limits.
+        let executor = Arc::new(Executor::new(structures, Devices::new(config.device), budgets, Limits::NONE));
         // Looking for GPUs loads drivers, which takes its time.
         let lister = Arc::clone(&executor);
         let devices = tokio::task::spawn_blocking(move || lister.devices().list()).await.unwrap_or_default();
         for device in &devices {
             tracing::info!(kind = device.kind.as_str(), name = device.name, "device");
+        }
+        if devices.is_empty() {
+            return Err(WorkerError::NoDevice);
         }
         let registration = NewWorker {
             id: None,
@@ -271,8 +279,8 @@ impl Driver {
 /// What an error means to the protocol. The address stays out of messages: that of a lease holds its secret token.
 fn call_error(call: &'static str, error: &ClientError) -> CallError {
     let reaction = match error {
-        _ if error.is_transient() => CallError::Unavailable { retry_after: None },
-        ClientError::Problem(problem) => match problem.status {
+        _ if error.is_transient() => CallError::Unavailable { retry_after: error.retry_after() },
+        ClientError::Problem { problem, .. } => match problem.status {
             404 => CallError::Unknown,
             409 | 410 => CallError::Stale,
             _ => CallError::Refused(problem.detail.clone()),

@@ -91,6 +91,8 @@ struct Work {
 impl Work {
     async fn run(&self) -> Outcome {
         tracing::info!(work = ?self.lease.work, "task started");
+        let name = crate::executor::name_of(&self.lease.work);
+        self.live.log.push(format!("attempt {} at {name} begins", self.lease.attempt_number));
         let beside = async {
             tokio::join!(
                 Arc::clone(&self.live).upload_previews(self.client.clone()),
@@ -109,7 +111,10 @@ impl Work {
                 self.live.log.push(format!("failed: {}", fail.error));
                 tracing::warn!(class = ?fail.class, "task failed");
             }
-            Outcome::Stopped => tracing::info!("task stopped"),
+            Outcome::Stopped => {
+                self.live.log.push("stopped before its end, as asked".to_owned());
+                tracing::info!("task stopped");
+            }
         }
         let flush = self.live.log.flush(&self.client, &self.lease.token);
         if tokio::time::timeout(LOG_PATIENCE, flush).await.is_err() {
@@ -182,7 +187,7 @@ impl Work {
             match self.client.put_blob(&hash, body.clone()).await {
                 Ok(_) => break,
                 Err(error) if error.is_transient() => tokio::time::sleep(UPLOAD_PAUSE).await,
-                Err(ClientError::Problem(problem)) => {
+                Err(ClientError::Problem { problem, .. }) => {
                     return Err(TaskError::transient(format!("{}: {}", artifact.name, problem.detail)));
                 }
                 Err(_) => return Err(TaskError::transient(format!("{} could not be uploaded", artifact.name))),

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use lightshaft_api::settings::DeviceChoice;
 use lightshaft_api::worker;
@@ -16,6 +16,8 @@ use lightshaft_engine::settings::RenderSettings;
 pub struct Devices {
     /// What the worker was started with: `auto` allows everything.
     allowed: DeviceChoice,
+    /// Looked for once: it loads drivers, which takes longer than a small picture.
+    adapters: OnceLock<Vec<DeviceInfo>>,
     open: Mutex<HashMap<Choice, Box<dyn Device>>>,
 }
 
@@ -41,7 +43,7 @@ pub(super) struct OnDevice {
 
 impl Devices {
     pub fn new(allowed: DeviceChoice) -> Self {
-        Self { allowed, open: Mutex::default() }
+        Self { allowed, adapters: OnceLock::new(), open: Mutex::default() }
     }
 
     /// What this machine has and this worker may use, the CPU first.
@@ -51,9 +53,13 @@ impl Devices {
             devices.push(CpuDevice::new().info());
         }
         if self.allowed != DeviceChoice::Cpu {
-            devices.extend(gpu::adapters());
+            devices.extend(self.adapters().iter().cloned());
         }
         devices.into_iter().map(describe).collect()
+    }
+
+    fn adapters(&self) -> &[DeviceInfo] {
+        self.adapters.get_or_init(gpu::adapters)
     }
 
     /// Which device a job gets. `auto` takes a GPU only where there is a real one.
@@ -73,7 +79,7 @@ impl Devices {
         };
         let has_real_gpu = || {
             let wanted_name = adapter.map(str::to_lowercase);
-            gpu::adapters().iter().any(|info| {
+            self.adapters().iter().any(|info| {
                 !gpu::is_software(info)
                     && wanted_name.as_ref().is_none_or(|part| info.name.to_lowercase().contains(part))
             })

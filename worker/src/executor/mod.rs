@@ -30,9 +30,13 @@ use crate::cache::{StructureCache, StructureStore};
 pub use devices::Devices;
 pub use output::Artifact;
 use part::Part;
+pub use part::name as name_of;
 
 /// Where a task's inputs come from.
 pub trait Inputs: Sync {
+    /// How long the task waited for its lease, in seconds; `None` when it did not come from a queue.
+    fn waited_s(&self) -> Option<f64>;
+
     /// Names the scene's content: equal keys, equal scenes. `None` when it is not worth keeping.
     fn scene_key(&self) -> Option<String>;
 
@@ -66,7 +70,7 @@ pub trait Observer: Sync {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Progress {
     pub phase: Phase,
-    /// Of the whole task, 0 to 1.
+    /// Of the whole task, 0 to 1. Threads report it; the reports may come out of order.
     pub fraction: f64,
     /// Samples per pixel so far.
     pub spp: u32,
@@ -171,7 +175,7 @@ impl Executor {
         stop: &AtomicBool,
     ) -> Result<Outputs, TaskError> {
         let task = Task { work, settings, inputs, observer, stop, started: Instant::now() };
-        let mut metrics = Metrics { versions: metrics::versions(), ..Metrics::default() };
+        let mut metrics = Metrics { queue_s: inputs.waited_s(), versions: metrics::versions(), ..Metrics::default() };
         let (part, earlier) = match work {
             TaskWork::Merge => self.merge(&task, &mut metrics)?,
             TaskWork::Frame | TaskWork::Tile { .. } | TaskWork::Pass { .. } => {
@@ -230,7 +234,7 @@ impl Executor {
         for (work, bytes) in parts {
             task.check_stop()?;
             let (part, cost) = Part::decode(&bytes)
-                .map_err(|why| TaskError::worker(format!("the part of {} cannot be used: {why}", part::name(&work))))?;
+                .map_err(|why| TaskError::worker(format!("the part of {} cannot be used: {why}", name_of(&work))))?;
             earlier.add(&cost);
             decoded.push((work, part));
         }
@@ -238,7 +242,10 @@ impl Executor {
     }
 }
 
-/// Progress at the beginning of the phases; rendering takes its share from 0.1 on.
+/// Progress at the beginning of the phases after the first.
+const IMPORT_STARTS: f64 = 0.02;
+const STRUCTURES_START: f64 = 0.04;
+const PREPARE_STARTS: f64 = 0.08;
 const RENDER_STARTS: f64 = 0.1;
 const OUTPUT_STARTS: f64 = 0.97;
 

@@ -44,7 +44,7 @@ impl Part {
 }
 
 /// For messages.
-pub(super) fn name(work: &TaskWork) -> String {
+pub fn name(work: &TaskWork) -> String {
     match work {
         TaskWork::Frame => "the whole picture".into(),
         TaskWork::Tile { x, y, .. } => format!("the tile at ({x}, {y})"),

@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use lightshaft_api::job::{Metrics, Phase, RayCounts};
-use lightshaft_engine::device::{DeviceError, Pass, PassStats};
+use lightshaft_engine::device::{DeviceError, Pass, PassStats, Watch};
 
 use super::part::Part;
 use super::{OUTPUT_STARTS, RENDER_STARTS, Ready, Task, output};
@@ -30,6 +30,9 @@ pub(super) fn render(
     let started = Instant::now();
     let stopped = || task.stopped();
     task.report(Phase::Render, RENDER_STARTS, 0);
+    let first_tile_s = metrics.queue_s.unwrap_or(0.0) + task.started.elapsed().as_secs_f64();
+    metrics.first_tile_s = Some(first_tile_s);
+    task.observer.log(format!("the first tile begins {first_tile_s:.3} s after the task could run"));
     if let Some(aovs) = &mut part.aovs {
         let stats = ready.renderer.aovs(part.film.region, aovs, &stopped)?;
         add(metrics, &stats);
@@ -38,12 +41,12 @@ pub(super) fn render(
     let mut previews = Previews::new();
     while let Some(count) = schedule.next() {
         let pass_started = Instant::now();
+        let watch = PassWatch { task, started, done: schedule.done, count, total: samples, spp: part.film.samples };
         let pass = Pass { region: part.film.region, first_sample: first_sample + schedule.done, samples: count };
-        let stats = ready.renderer.render(&pass, &mut part.film, &stopped)?;
+        let stats = ready.renderer.render(&pass, &mut part.film, &watch)?;
         add(metrics, &stats);
         schedule.finished(count, pass_started.elapsed());
-        let fraction = f64::from(schedule.done) / f64::from(samples);
-        task.report(Phase::Render, RENDER_STARTS + (OUTPUT_STARTS - RENDER_STARTS) * fraction, part.film.samples);
+        PassWatch { spp: part.film.samples, ..watch }.progress(1.0);
         if stopped() {
             return Err(DeviceError::Cancelled);
         }
@@ -65,6 +68,33 @@ pub(super) fn render(
         part.film.samples, metrics.render_s, metrics.device, metrics.mrays_per_s
     ));
     Ok(())
+}
+
+/// Turns the progress of one pass into that of the task.
+struct PassWatch<'a> {
+    task: &'a Task<'a>,
+    /// When rendering began.
+    started: Instant,
+    /// Samples of the passes before, of this one, and of all.
+    done: u32,
+    count: u32,
+    total: u32,
+    /// Per pixel so far.
+    spp: u32,
+}
+
+impl Watch for PassWatch<'_> {
+    fn cancelled(&self) -> bool {
+        self.task.stopped()
+    }
+
+    fn progress(&self, done: f64) {
+        let of_samples = (f64::from(self.done) + f64::from(self.count) * done) / f64::from(self.total);
+        // What ends first, samples or time, says how far it is.
+        let of_time = self.task.settings.time_limit_s.map_or(0.0, |limit| self.started.elapsed().as_secs_f64() / limit);
+        let fraction = of_samples.max(of_time).min(1.0);
+        self.task.report(Phase::Render, RENDER_STARTS + (OUTPUT_STARTS - RENDER_STARTS) * fraction, self.spp);
+    }
 }
 
 fn add(metrics: &mut Metrics, stats: &PassStats) {

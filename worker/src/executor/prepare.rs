@@ -3,6 +3,7 @@
 //! The last scenes are kept under a byte budget, and the last packed scene with everything that went into it: tasks of
 //! one job, and jobs that differ in samples or seed alone, find it ready.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -17,7 +18,7 @@ use lightshaft_engine::settings::{HdrImage, RenderSettings};
 use rayon::prelude::*;
 
 use super::devices::{Choice, OnDevice};
-use super::{Executor, Ready, Task, TaskError};
+use super::{Executor, IMPORT_STARTS, PREPARE_STARTS, Ready, STRUCTURES_START, Task, TaskError};
 use crate::cache::{Lru, Obtained};
 use crate::settings;
 
@@ -76,7 +77,7 @@ impl Executor {
             None => {
                 let source = task.inputs.open_scene(&self.limits)?;
                 task.check_stop()?;
-                task.report(Phase::Import, 0.02, 0);
+                task.report(Phase::Import, IMPORT_STARTS, 0);
                 let imported = scene::import(&source, &self.limits, &|| task.stopped()).map_err(import_error)?;
                 let scene = Arc::new(imported);
                 if let Some(key) = key {
@@ -122,7 +123,7 @@ impl Executor {
         // The old one goes before the new one is made, so that memory holds one at a time.
         *self.prepared.last.lock().unwrap_or_else(PoisonError::into_inner) = None;
 
-        task.report(Phase::Structures, 0.04, 0);
+        task.report(Phase::Structures, STRUCTURES_START, 0);
         let started = Instant::now();
         let with_overlays = pack::with_overlays(scene, resolved);
         let structures = self.obtain_structures(task, &with_overlays, &params, metrics)?;
@@ -130,7 +131,7 @@ impl Executor {
         metrics.build_s += started.elapsed().as_secs_f64();
         task.check_stop()?;
 
-        task.report(Phase::Prepare, 0.08, 0);
+        task.report(Phase::Prepare, PREPARE_STARTS, 0);
         let started = Instant::now();
         let packed = pack::pack(&with_overlays, resolved, accel).map_err(|e| TaskError::bad_input(e.to_string()))?;
         let packed = Arc::new(packed);
@@ -161,11 +162,14 @@ impl Executor {
         let mut order: Vec<usize> = (0..scene.meshes.len()).collect();
         order.sort_by_key(|&i| std::cmp::Reverse(scene.meshes[i].primitive_count()));
         let store = task.inputs.structures();
+        let done = AtomicUsize::new(0);
         let obtained = order
             .par_iter()
             .with_max_len(1)
             .map(|&i| {
                 let obtained = self.structures.get(&scene.meshes[i], params, store, task.stop)?;
+                let share = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / scene.meshes.len() as f64;
+                task.report(Phase::Structures, STRUCTURES_START + (PREPARE_STARTS - STRUCTURES_START) * share, 0);
                 Ok((i, obtained))
             })
             .collect::<Result<Vec<(usize, Obtained)>, BuildError>>()

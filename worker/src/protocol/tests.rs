@@ -17,6 +17,7 @@ fn lease() -> Box<Lease> {
         task: "t".into(),
         attempt: "a".into(),
         attempt_number: 1,
+        waited_s: 0.0,
         traceparent: String::new(),
         work: TaskWork::Frame,
         settings: RenderSettings::default(),

@@ -146,6 +146,9 @@ fn describe(job: &Job) -> String {
     line("job", s.id.clone());
     line("state", format!("{}, {:.0} %", s.state.as_str(), s.progress * 100.0));
     line("scene", format!("{} ({})", s.scene_name, s.scene));
+    if let Some(waiting) = &job.waiting {
+        line("waiting", waiting.clone());
+    }
     if let Some(error) = &s.error {
         line("error", error.clone());
     }

@@ -24,16 +24,19 @@ pub(crate) async fn run(id: &str, client: &Client, global: &Global) -> Result<()
 /// Shows progress until the job has ended, and answers its end.
 pub(super) async fn follow(client: &Client, id: &str) -> Result<Job> {
     let progress = Progress::new();
+    // Events of several workers may come out of order; only a task that is tried again takes the job back.
+    let mut furthest = 0.0;
     let mut last_event = None;
     let mut failures = 0;
     loop {
+        let mut pause = RECONNECT_PAUSE;
         let stream = async {
             let mut events = client.job_events(id, last_event).await?;
             while let Some(event) = events.next().await {
                 let event = event?;
                 failures = 0;
                 last_event = event.id.or(last_event);
-                show(&progress, &event);
+                show(&progress, &mut furthest, &event);
                 if event.kind.ends_job() {
                     break;
                 }
@@ -46,23 +49,25 @@ pub(super) async fn follow(client: &Client, id: &str) -> Result<Job> {
             Ok(_) => {}
             Err(error) if error.is_transient() && failures < PATIENCE => {
                 failures += 1;
-                progress.set(0.0, "waiting for the service".into());
+                pause = pause.max(error.retry_after().unwrap_or_default());
+                progress.set(furthest, "waiting for the service".into());
             }
             Err(error) => return Err(error.into()),
         }
-        tokio::time::sleep(RECONNECT_PAUSE).await;
+        tokio::time::sleep(pause).await;
     }
 }
 
-fn show(progress: &Progress, event: &Event) {
+fn show(progress: &Progress, furthest: &mut f64, event: &Event) {
     match event.kind {
         EventKind::JobProgress => {
-            let fraction = event.data["progress"].as_f64().unwrap_or(0.0);
+            *furthest = event.data["job_progress"].as_f64().unwrap_or(0.0).max(*furthest);
             let phase = event.data["phase"].as_str().unwrap_or_default();
             let spp = event.data["spp"].as_u64().filter(|&spp| spp > 0);
-            progress.set(fraction, spp.map_or_else(|| phase.to_owned(), |spp| format!("{phase}, {spp} spp")));
+            progress.set(*furthest, spp.map_or_else(|| phase.to_owned(), |spp| format!("{phase}, {spp} spp")));
         }
         EventKind::TaskRetried | EventKind::TaskExpired => {
+            *furthest = 0.0;
             let why = event.data["error"].as_str().unwrap_or("the worker was lost");
             progress.say(&crate::cli::output::printable(&format!("a task will be tried again: {why}")));
         }

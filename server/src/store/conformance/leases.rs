@@ -78,6 +78,14 @@ pub(super) async fn gpu_jobs_go_to_workers_with_a_gpu(farm: &Farm) {
     assert!(farm.claim(&gpu).await.is_some());
 }
 
+pub(super) async fn cpu_jobs_go_to_workers_with_a_cpu(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    farm.job_with(&scene, |job| job.settings.device = DeviceChoice::Cpu).await;
+    let (gpu, cpu) = (farm.worker_with(&["llvmpipe"]).await, farm.worker().await);
+    assert!(farm.claim(&gpu).await.is_none());
+    assert!(farm.claim(&cpu).await.is_some());
+}
+
 pub(super) async fn an_adapter_is_matched_by_part_of_its_name(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     farm.job_with(&scene, |job| {
@@ -142,6 +150,40 @@ pub(super) async fn a_lease_is_renewed_only_while_it_lasts(farm: &Farm) {
     assert!(!renew().await.unwrap(), "too late, though nobody has looked yet");
     let state = farm.store.lease(&held.token).await.unwrap().unwrap();
     assert_eq!((state.phase, state.outcome), (Some(Phase::Render), AttemptOutcome::Running));
+}
+
+pub(super) async fn progress_only_falls_when_a_task_starts_anew(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([2, 1]))).await;
+    let worker = farm.worker().await;
+    let progress = async || {
+        let progress = farm.store.task_progress(&job).await.unwrap();
+        assert_eq!(farm.read(&job).await.summary.progress, progress.of_job(|_| None));
+        progress
+    };
+    let (left, right) = (farm.claim(&worker).await.unwrap(), farm.claim(&worker).await.unwrap());
+    let renew = async |held: &super::Held, fraction| {
+        let (now, until) = (farm.now(), farm.now() + TTL);
+        assert!(farm.store.renew(&held.token, Phase::Render, fraction, until, now).await.unwrap());
+    };
+    renew(&left, 0.6).await;
+    renew(&left, 0.3).await;
+    let begun = progress().await;
+    assert_eq!((begun.tasks, begun.settled), (3, 0.0));
+    assert_eq!((begun.leased[&left.task.task], begun.leased[&right.task.task]), (0.6, 0.0));
+    assert_eq!(begun.of_job(|task| (task == left.task.task).then_some(0.9)), 0.3, "what is live may be further");
+    assert_eq!(begun.of_job(|_| Some(0.1)), (0.6 + 0.1) / 3.0, "but is not further back");
+
+    farm.complete(&left).await;
+    assert_eq!(progress().await.of_job(|_| None), 1.0 / 3.0);
+    farm.fail(&right, RetryClass::Task).await;
+    farm.store.note_progress(&right.token, 0.9).await.unwrap();
+    assert_eq!(progress().await.of_job(|_| None), 1.0 / 3.0, "the lease has ended");
+    let again = farm.claim(&worker).await.unwrap();
+    farm.store.note_progress(&again.token, 0.5).await.unwrap();
+    farm.store.cancel_job(&job, farm.now()).await.unwrap();
+    farm.store.release(&again.token, true, farm.now()).await.unwrap();
+    assert_eq!(progress().await.of_job(|_| None), 0.5, "a cancelled job stays where it was");
 }
 
 pub(super) async fn complete_counts_once(farm: &Farm) {
@@ -218,13 +260,13 @@ pub(super) async fn a_failed_task_avoids_the_worker_for_a_while(farm: &Farm) {
     let held = farm.claim(&good).await.unwrap();
     farm.store.release(&held.token, false, farm.now()).await.unwrap();
     farm.wait(crate::queue::WORKER_PATIENCE_MS);
-    assert!(farm.claim(&bad).await.is_some(), "on a farm of one it must get another try");
+    assert!(farm.claim(&bad).await.is_some(), "the other one had its chance");
 }
 
 pub(super) async fn two_worker_failures_block_the_worker_from_the_job(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([4, 1]))).await;
-    let worker = farm.worker().await;
+    let (worker, _other) = (farm.worker().await, farm.worker().await);
     for _ in 0..2 {
         let held = farm.claim(&worker).await.unwrap();
         farm.fail(&held, RetryClass::Worker).await;
@@ -234,6 +276,50 @@ pub(super) async fn two_worker_failures_block_the_worker_from_the_job(farm: &Far
     assert_eq!(farm.claim(&worker).await.unwrap().task.job, other, "only from that job");
     farm.wait(crate::queue::BLOCK_MS);
     assert!(farm.claim(&worker).await.is_some());
+}
+
+pub(super) async fn the_last_worker_that_could_do_it_gets_every_attempt(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.settings.device = DeviceChoice::Gpu).await;
+    let worker = farm.worker_with(&["gpu"]).await;
+    // None of these could: without a GPU, draining, removed, not heard of for long.
+    let (_cpu, draining, removed) =
+        (farm.worker().await, farm.worker_with(&["gpu"]).await, farm.worker_with(&["gpu"]).await);
+    farm.store.set_draining(&draining, true).await.unwrap();
+    farm.store.remove_worker(&removed, farm.now()).await.unwrap();
+    let _gone = farm.worker_with(&["gpu"]).await;
+    farm.wait(crate::queue::GONE_AFTER_MS);
+    for _ in 0..3 {
+        let held = farm.claim(&worker).await.expect("it is the only one left");
+        farm.fail(&held, RetryClass::Worker).await;
+        farm.wait(crate::queue::WORKER_PAUSE_MS - 1);
+        assert!(farm.claim(&worker).await.is_none(), "a moment for its driver");
+        farm.wait(1);
+    }
+    assert_eq!(farm.task_states(&job).await, [TaskState::Dead]);
+    assert_eq!(farm.read(&job).await.summary.error.as_deref(), Some("Worker"));
+}
+
+pub(super) async fn blocked_workers_are_free_again_once_all_are_blocked(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.max_attempts = 6).await;
+    let workers = [farm.worker().await, farm.worker().await];
+    let mut tried = Vec::new();
+    while farm.state(&job).await != JobState::Failed {
+        assert!(tried.len() < 6, "attempts are limited");
+        for (i, worker) in workers.iter().enumerate() {
+            if let Some(held) = farm.claim(worker).await {
+                tried.push(i);
+                farm.fail(&held, RetryClass::Worker).await;
+            }
+        }
+        farm.wait(crate::queue::WORKER_PAUSE_MS);
+        for worker in &workers {
+            farm.store.touch_worker(worker, farm.now()).await.unwrap();
+        }
+        assert!(farm.now() < 1_800_000_000_000 + crate::queue::BLOCK_MS, "it must not wait for the end of a block");
+    }
+    assert_eq!(tried[..4].iter().filter(|&&i| i == 0).count(), 2, "both had their two tries: {tried:?}");
 }
 
 pub(super) async fn a_transient_failure_waits(farm: &Farm) {

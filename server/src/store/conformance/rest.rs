@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use lightshaft_api::event::EventKind;
 use lightshaft_api::job::{JobState, TaskState};
 use lightshaft_api::lease::RetryClass;
-use lightshaft_api::mesh::NewStructure;
-use lightshaft_api::settings::{Environment, EnvironmentMap, Split};
+use lightshaft_api::mesh::{FindStructures, NewStructure};
+use lightshaft_api::settings::{DeviceChoice, Environment, EnvironmentMap, Split};
 
 use super::{Farm, job_record, scene_record};
 use crate::store::{Change, Creation, Idempotency, JobQuery, PageRequest, Removal};
@@ -92,6 +92,45 @@ pub(super) async fn a_retry_repeats_only_what_did_not_succeed(farm: &Farm) {
     assert_eq!(farm.state(&job).await, JobState::Succeeded);
 }
 
+pub(super) async fn a_job_that_nobody_can_do_is_given_up_unless_taken(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let anywhere = farm.job(&scene).await;
+    let demand = |job: &mut crate::store::JobRecord| {
+        job.settings.device = DeviceChoice::Gpu;
+        job.settings.adapter = Some("Radeon".to_owned());
+        job.settings.split = Some(Split::Tiles([2, 1]));
+    };
+    let (job, taken) = (farm.job_with(&scene, demand).await, farm.job_with(&scene, demand).await);
+    let paused = farm.job_with(&scene, demand).await;
+    farm.store.patch_job(&paused, None, Some(true), farm.now()).await.unwrap();
+    let demanding = farm.store.demanding_jobs().await.unwrap();
+    let ids: Vec<&str> = demanding.iter().map(|demanding| demanding.job.as_str()).collect();
+    assert_eq!(ids, [&job, &taken], "neither those without a demand nor paused ones");
+    assert_eq!(demanding[0].demand.adapter.as_deref(), Some("radeon"));
+    assert_eq!(demanding[0].ready_since, farm.now());
+
+    farm.store.cancel_job(&anywhere, farm.now()).await.unwrap();
+    let worker = farm.worker_with(&["Radeon RX"]).await;
+    let first = farm.claim(&worker).await.unwrap();
+    farm.complete(&first).await;
+    assert!(farm.store.give_up_job(&job, "nobody has it", farm.now()).await.unwrap());
+    use TaskState::{Cancelled, Failed, Ready, Succeeded};
+    assert_eq!(farm.task_states(&job).await, [Succeeded, Failed, Cancelled]);
+    let read = farm.read(&job).await;
+    assert_eq!((read.summary.state, read.summary.error.as_deref()), (JobState::Failed, Some("nobody has it")));
+    assert_eq!(read.tasks[1].error.as_deref(), Some("nobody has it"));
+
+    for _ in 0..2 {
+        assert_eq!(farm.claim(&worker).await.unwrap().task.job, taken);
+    }
+    assert!(!farm.store.give_up_job(&taken, "nobody has it", farm.now()).await.unwrap(), "somebody had it");
+    assert_eq!(farm.state(&taken).await, JobState::Running);
+
+    farm.store.retry_job(&job, farm.now()).await.unwrap();
+    assert_eq!(farm.task_states(&job).await, [Succeeded, Ready, TaskState::Blocked]);
+    assert_eq!(farm.read(&job).await.tasks[1].error, None);
+}
+
 pub(super) async fn running_and_succeeded_jobs_are_not_retried(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     let job = farm.job(&scene).await;
@@ -131,7 +170,7 @@ pub(super) async fn jobs_are_listed_newest_first_and_filtered(farm: &Farm) {
     farm.store.cancel_job(&plain, farm.now()).await.unwrap();
     let list = |query: JobQuery| async move {
         let jobs = farm.store.jobs(&query, &first_page(10)).await.unwrap();
-        jobs.into_iter().map(|job| job.id).collect::<Vec<_>>()
+        jobs.into_iter().map(|job| job.summary.id).collect::<Vec<_>>()
     };
     let all = JobQuery::default();
     assert_eq!(list(all.clone()).await, [automatic.clone(), labelled.clone(), plain.clone()]);
@@ -161,8 +200,8 @@ pub(super) async fn pages_join_without_gap_or_repeat(farm: &Farm) {
     loop {
         let page = farm.store.jobs(&JobQuery::default(), &PageRequest { limit: 3, after }).await.unwrap();
         let Some(last) = page.last() else { break };
-        after = Some(last.id.clone());
-        seen.extend(page.into_iter().map(|job| job.id));
+        after = Some(last.summary.id.clone());
+        seen.extend(page.into_iter().map(|job| job.summary.id));
         farm.job(&scene).await;
     }
     assert_eq!(seen, made, "jobs made meanwhile do not shift the pages");
@@ -246,6 +285,16 @@ pub(super) async fn the_first_structure_of_a_key_is_kept(farm: &Farm) {
     assert_eq!(farm.store.mesh(&mesh).await.unwrap().unwrap().structures, [first]);
     assert!(farm.store.add_structure("none", &structure("a"), farm.now()).await.unwrap().is_none());
     assert_eq!(farm.store.meshes(&first_page(10)).await.unwrap().len(), 1);
+
+    let (_, other) = farm.scene().await;
+    let find = async |parameters: &str, builder_version| {
+        let meshes = vec![mesh.clone(), other.clone(), "none".to_owned()];
+        let wanted =
+            FindStructures { meshes, kind: "bvh".to_owned(), parameters: parameters.to_owned(), builder_version };
+        farm.store.find_structures(&wanted).await.unwrap()
+    };
+    assert_eq!(find("quality=medium", 1).await, BTreeMap::from([(mesh.clone(), "a".to_owned())]));
+    assert!(find("quality=high", 1).await.is_empty() && find("quality=medium", 2).await.is_empty());
 }
 
 pub(super) async fn used_blobs_are_known(farm: &Farm) {

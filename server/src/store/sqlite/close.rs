@@ -259,8 +259,8 @@ async fn settle(
         Next::Cancelled => ("cancelled", None, false, EventKind::TaskCancelled),
     };
     sqlx::query(
-        "UPDATE task SET state = $2, run_at = COALESCE($3, run_at), spent = spent + $4, progress = 0,
-                         cancel_requested = 0, lease_token = NULL, lease_expires_at = NULL
+        "UPDATE task SET state = $2, run_at = COALESCE($3, run_at), spent = spent + $4,
+                         progress = CASE $2 WHEN 'ready' THEN 0 ELSE progress END, cancel_requested = 0, lease_token = NULL, lease_expires_at = NULL
          WHERE id = $1",
     )
     .bind(&held.task)

@@ -2,14 +2,14 @@
 
 use lightshaft_api::event::EventKind;
 use lightshaft_api::job::{JobState, Metrics, TaskWork};
-use lightshaft_api::settings::{DeviceChoice, Environment, RenderSettings};
+use lightshaft_api::settings::Environment;
 use serde_json::json;
 use sqlx::FromRow;
 use uuid::Uuid;
 
 use super::events::emit;
 use super::{SqliteStore, Tx, commit, context, from_json, from_name, signed, to_json};
-use crate::queue::{Millis, TaskCounts, job_state};
+use crate::queue::{Demand, Millis, TaskCounts, job_state};
 use crate::store::{Change, Creation, Idempotency, JobRecord, Result};
 
 #[derive(FromRow)]
@@ -103,7 +103,7 @@ impl SqliteStore {
             return Ok(Change::SceneGone);
         }
         sqlx::query(
-            "UPDATE task SET state = 'ready', spent = 0, progress = 0, cancel_requested = 0, run_at = $2
+            "UPDATE task SET state = 'ready', spent = 0, progress = 0, cancel_requested = 0, error = NULL, run_at = $2
              WHERE job_id = $1 AND state IN ('failed', 'dead', 'cancelled')",
         )
         .bind(id)
@@ -221,12 +221,14 @@ async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
 }
 
 async fn insert_tasks(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
-    let (needs_gpu, needs_adapter) = requirements(&job.settings);
     for (position, work) in job.tasks.iter().enumerate() {
         let is_merge = *work == TaskWork::Merge;
+        // Merging touches no ray: any worker can do it.
+        let demand = if is_merge { Demand::default() } else { Demand::of(&job.settings) };
         sqlx::query(
-            "INSERT INTO task (id, job_id, position, work, is_merge, state, priority, run_at, needs_gpu, needs_adapter)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)",
+            "INSERT INTO task (id, job_id, position, work, is_merge, state, priority, run_at, needs_cpu,
+                               needs_gpu, needs_adapter)
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
         )
         .bind(Uuid::now_v7().to_string())
         .bind(&job.id)
@@ -236,21 +238,14 @@ async fn insert_tasks(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
         .bind(if is_merge { "blocked" } else { "ready" })
         .bind(job.priority)
         .bind(now)
-        // Merging touches no ray: any worker can do it.
-        .bind(needs_gpu && !is_merge)
-        .bind(if is_merge { None } else { needs_adapter.as_deref() })
+        .bind(demand.cpu)
+        .bind(demand.gpu)
+        .bind(demand.adapter)
         .execute(&mut **tx)
         .await
         .map_err(context("adding a task"))?;
     }
     Ok(())
-}
-
-/// Whether a task needs a GPU at all, and one with this in its name.
-fn requirements(settings: &RenderSettings) -> (bool, Option<String>) {
-    let needs_gpu = settings.device == DeviceChoice::Gpu;
-    let adapter = settings.adapter.as_ref().filter(|_| needs_gpu).map(|name| name.to_lowercase());
-    (needs_gpu, adapter)
 }
 
 async fn read_state(tx: &mut Tx, job: &str) -> Result<Option<JobState>> {
@@ -347,9 +342,9 @@ pub(super) fn counts(rows: Vec<(String, u32)>) -> TaskCounts {
 /// What the first task to fail for good failed of.
 async fn last_error(tx: &mut Tx, job: &str) -> Result<Option<String>> {
     sqlx::query_scalar(
-        "SELECT a.error FROM attempt a JOIN task t ON t.id = a.task_id
-         WHERE t.job_id = $1 AND t.state IN ('failed', 'dead') AND a.error IS NOT NULL
-         ORDER BY a.finished_at DESC, a.id DESC LIMIT 1",
+        "SELECT COALESCE(t.error, a.error) AS why FROM task t LEFT JOIN attempt a ON a.task_id = t.id
+         WHERE t.job_id = $1 AND t.state IN ('failed', 'dead') AND why IS NOT NULL
+         ORDER BY t.error IS NULL, a.finished_at DESC, a.id DESC LIMIT 1",
     )
     .bind(job)
     .fetch_optional(&mut **tx)

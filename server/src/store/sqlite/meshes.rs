@@ -1,9 +1,11 @@
 //! Meshes and the structures that workers published for them.
 
-use lightshaft_api::mesh::{Mesh, NewStructure, Structure};
+use std::collections::BTreeMap;
+
+use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use sqlx::FromRow;
 
-use super::{SqliteStore, commit, context, signed};
+use super::{SqliteStore, commit, context, signed, to_json};
 use crate::queue::Millis;
 use crate::store::{PageRequest, Result};
 
@@ -79,6 +81,22 @@ impl SqliteStore {
         .await
         .map_err(context("reading structures"))?;
         Ok(rows.into_iter().map(Structure::from).collect())
+    }
+
+    pub(super) async fn read_find_structures(&self, wanted: &FindStructures) -> Result<BTreeMap<String, String>> {
+        let rows: Vec<(String, String)> = sqlx::query_as(
+            "SELECT mesh_hash, blob FROM structure
+             WHERE mesh_hash IN (SELECT value FROM json_each($1))
+               AND kind = $2 AND parameters = $3 AND builder_version = $4",
+        )
+        .bind(to_json(&wanted.meshes)?)
+        .bind(&wanted.kind)
+        .bind(&wanted.parameters)
+        .bind(wanted.builder_version)
+        .fetch_all(&self.readers)
+        .await
+        .map_err(context("looking for structures"))?;
+        Ok(rows.into_iter().collect())
     }
 
     pub(super) async fn do_add_structure(

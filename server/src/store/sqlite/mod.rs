@@ -6,6 +6,7 @@
 
 mod claim;
 mod close;
+mod demand;
 mod events;
 mod jobs;
 mod meshes;
@@ -13,15 +14,16 @@ mod read;
 mod scenes;
 mod workers;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
 use async_trait::async_trait;
 use jiff::Timestamp;
 use lightshaft_api::event::Event;
-use lightshaft_api::job::{Artifact, Attempt, Job, JobSummary, Phase, Task};
+use lightshaft_api::job::{Artifact, Attempt, Job, Phase, Task};
 use lightshaft_api::lease::{Complete, Fail};
-use lightshaft_api::mesh::{Mesh, NewStructure, Structure};
+use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::scene::Scene;
 use lightshaft_api::worker::{NewWorker, Worker};
 use serde::Serialize;
@@ -30,8 +32,8 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePo
 use sqlx::{Sqlite, Transaction};
 
 use super::{
-    Change, Claim, Claimed, Close, Creation, Expired, Idempotency, JobQuery, JobRecord, LeaseState, PageRequest,
-    Removal, Result, SceneRecord, Store, StoreError, Totals,
+    Change, Claim, Claimed, Close, Creation, Demanding, Expired, Idempotency, JobQuery, JobRecord, LeaseState,
+    ListedJob, PageRequest, Removal, Result, SceneRecord, Store, StoreError, TaskProgress, Totals,
 };
 use crate::queue::Millis;
 
@@ -189,6 +191,10 @@ impl Store for SqliteStore {
         self.read_mesh(hash).await
     }
 
+    async fn find_structures(&self, wanted: &FindStructures) -> Result<BTreeMap<String, String>> {
+        self.read_find_structures(wanted).await
+    }
+
     async fn add_structure(&self, mesh: &str, structure: &NewStructure, now: Millis) -> Result<Option<Structure>> {
         self.do_add_structure(mesh, structure, now).await
     }
@@ -209,8 +215,12 @@ impl Store for SqliteStore {
         self.read_job(id).await
     }
 
-    async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<JobSummary>> {
+    async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>> {
         self.read_jobs(query, page).await
+    }
+
+    async fn task_progress(&self, job: &str) -> Result<TaskProgress> {
+        self.read_task_progress(job).await
     }
 
     async fn tasks(&self, job: &str) -> Result<Vec<Task>> {
@@ -231,6 +241,14 @@ impl Store for SqliteStore {
 
     async fn retry_job(&self, id: &str, now: Millis) -> Result<Change> {
         self.do_retry_job(id, now).await
+    }
+
+    async fn demanding_jobs(&self) -> Result<Vec<Demanding>> {
+        self.read_demanding_jobs().await
+    }
+
+    async fn give_up_job(&self, id: &str, error: &str, now: Millis) -> Result<bool> {
+        self.do_give_up_job(id, error, now).await
     }
 
     async fn patch_job(&self, id: &str, priority: Option<i32>, paused: Option<bool>, now: Millis) -> Result<Change> {
@@ -275,6 +293,10 @@ impl Store for SqliteStore {
 
     async fn renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis, now: Millis) -> Result<bool> {
         self.do_renew(token, phase, progress, expires_at, now).await
+    }
+
+    async fn note_progress(&self, token: &str, progress: f64) -> Result<()> {
+        self.do_note_progress(token, progress).await
     }
 
     async fn complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Close> {

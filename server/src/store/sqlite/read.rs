@@ -10,7 +10,7 @@ use sqlx::FromRow;
 use super::jobs::counts;
 use super::{SqliteStore, context, from_json, from_name, timestamp, to_json};
 use crate::queue::Millis;
-use crate::store::{JobQuery, PageRequest, Result, Totals};
+use crate::store::{JobQuery, ListedJob, PageRequest, Result, TaskProgress, Totals};
 
 #[derive(FromRow)]
 struct JobRow {
@@ -33,12 +33,29 @@ struct JobRow {
     labels: String,
     tasks_total: u32,
     tasks_done: u32,
-    progress: f64,
+    settled: f64,
+    leased: Option<String>,
+}
+
+#[derive(FromRow)]
+struct ProgressRow {
+    tasks: u32,
+    settled: f64,
+    leased: Option<String>,
+}
+
+impl ProgressRow {
+    fn into_progress(self) -> Result<TaskProgress> {
+        let leased = self.leased.as_deref().map(from_json).transpose()?.unwrap_or_default();
+        Ok(TaskProgress { tasks: self.tasks, settled: self.settled, leased })
+    }
 }
 
 impl JobRow {
-    fn into_summary(self) -> Result<JobSummary> {
-        Ok(JobSummary {
+    fn into_listed(self) -> Result<ListedJob> {
+        let row = ProgressRow { tasks: self.tasks_total, settled: self.settled, leased: self.leased };
+        let progress = row.into_progress()?;
+        let summary = JobSummary {
             id: self.id,
             kind: from_name(&self.kind)?,
             scene: self.scene_id,
@@ -48,7 +65,7 @@ impl JobRow {
             cancel_requested: self.cancel_requested,
             priority: self.priority,
             labels: from_json::<BTreeMap<String, String>>(&self.labels)?,
-            progress: self.progress,
+            progress: progress.of_job(|_| None),
             tasks_total: self.tasks_total,
             tasks_done: self.tasks_done,
             error: self.error,
@@ -56,7 +73,8 @@ impl JobRow {
             started_at: self.started_at.map(timestamp).transpose()?,
             finished_at: self.finished_at.map(timestamp).transpose()?,
             trace_id: self.trace_id,
-        })
+        };
+        Ok(ListedJob { summary, progress })
     }
 }
 
@@ -69,6 +87,8 @@ struct TaskRow {
     progress: f64,
     spent: u32,
     max_attempts: u32,
+    run_at: i64,
+    error: Option<String>,
 }
 
 #[derive(FromRow)]
@@ -126,7 +146,8 @@ impl SqliteStore {
             "SELECT j.*, s.name AS scene_name,
                     (SELECT json_group_object(l.key, l.value) FROM job_label l WHERE l.job_id = j.id) AS labels,
                     COUNT(t.id) AS tasks_total, COALESCE(SUM(t.state = 'succeeded'), 0) AS tasks_done,
-                    COALESCE(AVG(CASE t.state WHEN 'succeeded' THEN 1.0 ELSE t.progress END), 0.0) AS progress
+                    COALESCE(SUM(t.progress) FILTER (WHERE t.state <> 'leased'), 0.0) AS settled,
+                    json_group_object(t.id, t.progress) FILTER (WHERE t.state = 'leased') AS leased
              FROM job j JOIN scene s ON s.id = j.scene_id LEFT JOIN task t ON t.job_id = j.id
              WHERE j.id = $1 GROUP BY j.id",
         )
@@ -144,17 +165,19 @@ impl SqliteStore {
             tasks: self.read_tasks(id).await?,
             attempts: self.read_attempts(id).await?,
             artifacts: self.read_artifacts(id).await?,
+            waiting: None,
             preview: None,
-            summary: row.into_summary()?,
+            summary: row.into_listed()?.summary,
         }))
     }
 
-    pub(super) async fn read_jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<JobSummary>> {
+    pub(super) async fn read_jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>> {
         let rows: Vec<JobRow> = sqlx::query_as(
             "SELECT j.*, s.name AS scene_name,
                     (SELECT json_group_object(l.key, l.value) FROM job_label l WHERE l.job_id = j.id) AS labels,
                     COUNT(t.id) AS tasks_total, COALESCE(SUM(t.state = 'succeeded'), 0) AS tasks_done,
-                    COALESCE(AVG(CASE t.state WHEN 'succeeded' THEN 1.0 ELSE t.progress END), 0.0) AS progress
+                    COALESCE(SUM(t.progress) FILTER (WHERE t.state <> 'leased'), 0.0) AS settled,
+                    json_group_object(t.id, t.progress) FILTER (WHERE t.state = 'leased') AS leased
              FROM (SELECT j.* FROM job j JOIN scene s ON s.id = j.scene_id
                    WHERE ($1 IS NULL OR j.id < $1)
                      AND ($3 IS NULL OR j.state = $3)
@@ -179,12 +202,25 @@ impl SqliteStore {
         .fetch_all(&self.readers)
         .await
         .map_err(context("reading jobs"))?;
-        rows.into_iter().map(JobRow::into_summary).collect()
+        rows.into_iter().map(JobRow::into_listed).collect()
+    }
+
+    pub(super) async fn read_task_progress(&self, job: &str) -> Result<TaskProgress> {
+        let row: ProgressRow = sqlx::query_as(
+            "SELECT COUNT(*) AS tasks, COALESCE(SUM(progress) FILTER (WHERE state <> 'leased'), 0.0) AS settled,
+                    json_group_object(id, progress) FILTER (WHERE state = 'leased') AS leased
+             FROM task WHERE job_id = $1",
+        )
+        .bind(job)
+        .fetch_one(&self.readers)
+        .await
+        .map_err(context("reading how far a job is"))?;
+        row.into_progress()
     }
 
     pub(super) async fn read_tasks(&self, job: &str) -> Result<Vec<Task>> {
         let rows: Vec<TaskRow> = sqlx::query_as(
-            "SELECT t.id, t.position, t.work, t.state, t.progress, t.spent, j.max_attempts
+            "SELECT t.id, t.position, t.work, t.state, t.progress, t.spent, j.max_attempts, t.run_at, t.error
              FROM task t JOIN job j ON j.id = t.job_id WHERE t.job_id = $1 ORDER BY t.position",
         )
         .bind(job)
@@ -197,10 +233,12 @@ impl SqliteStore {
                     id: row.id,
                     index: row.position,
                     work: from_json(&row.work)?,
-                    progress: if row.state == "succeeded" { 1.0 } else { row.progress },
+                    progress: row.progress,
                     state: from_name(&row.state)?,
                     attempt: row.spent,
                     max_attempts: row.max_attempts,
+                    ready_at: if row.state == "ready" { Some(timestamp(row.run_at)?) } else { None },
+                    error: row.error,
                 })
             })
             .collect()

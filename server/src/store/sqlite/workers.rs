@@ -55,9 +55,10 @@ impl SqliteStore {
         let gpu_names: Vec<String> = gpus.iter().map(|gpu| gpu.name.to_lowercase()).collect();
         let mut tx = self.begin().await?;
         sqlx::query(
-            "INSERT INTO worker (id, name, version, devices, tags, has_gpu, gpu_names, registered_at, last_seen_at)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $8)
-             ON CONFLICT (id) DO UPDATE SET name = $2, version = $3, devices = $4, tags = $5, has_gpu = $6,
+            "INSERT INTO worker (id, name, version, devices, tags, has_cpu, has_gpu, gpu_names, registered_at,
+                                 last_seen_at)
+             VALUES ($1, $2, $3, $4, $5, $9, $6, $7, $8, $8)
+             ON CONFLICT (id) DO UPDATE SET name = $2, version = $3, devices = $4, tags = $5, has_cpu = $9, has_gpu = $6,
                  gpu_names = $7, registered_at = $8, last_seen_at = $8, removed_at = NULL",
         )
         .bind(id)
@@ -68,6 +69,7 @@ impl SqliteStore {
         .bind(!gpus.is_empty())
         .bind(gpu_names.join("\n"))
         .bind(now)
+        .bind(worker.devices.iter().any(|device| device.kind == DeviceKind::Cpu))
         .execute(&mut *tx)
         .await
         .map_err(context("registering a worker"))?;

@@ -4,12 +4,12 @@
 //! was. Nothing depends on the number of threads or the order of tiles.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::{CancelCheck, Device, DeviceError, DeviceInfo, Pass, PassStats, Region, Renderer};
+use super::{Device, DeviceError, DeviceInfo, Pass, PassStats, Region, Renderer, Watch};
 use crate::film::{AovBuffers, AovLayer, PassFilm};
 use crate::integrate::aov::{FirstHit, first_hit};
 use crate::integrate::{Sample, Tally, radiance};
@@ -68,13 +68,13 @@ struct CpuRenderer {
 }
 
 impl Renderer for CpuRenderer {
-    fn render(&mut self, pass: &Pass, film: &mut PassFilm, cancel: CancelCheck<'_>) -> Result<PassStats, DeviceError> {
+    fn render(&mut self, pass: &Pass, film: &mut PassFilm, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
         check_region(pass.region, film.region)?;
         let last = pass.first_sample.checked_add(pass.samples);
         let last = last.ok_or_else(|| DeviceError::Other("the pass counts its samples past 32 bits".into()))?;
         let started = Instant::now();
         let (scene, integrator, seed) = (&*self.scene, self.integrator, self.seed);
-        let tiles = for_tiles(pass.region, cancel, |x, y, tally| {
+        let tiles = for_tiles(pass.region, watch, |x, y, tally| {
             let mut sum = [0.0f64; 3];
             for index in pass.first_sample..last {
                 let value = radiance(scene, integrator, Sample { x, y, index, seed }, tally);
@@ -94,16 +94,11 @@ impl Renderer for CpuRenderer {
         Ok(stats)
     }
 
-    fn aovs(
-        &mut self,
-        region: Region,
-        out: &mut AovBuffers,
-        cancel: CancelCheck<'_>,
-    ) -> Result<PassStats, DeviceError> {
+    fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
         check_region(region, out.region)?;
         let started = Instant::now();
         let scene = &*self.scene;
-        let tiles = for_tiles(region, cancel, |x, y, tally| first_hit(scene, x, y, tally))?;
+        let tiles = for_tiles(region, watch, |x, y, tally| first_hit(scene, x, y, tally))?;
         let mut stats = PassStats::default();
         let target = out.region;
         for tile in tiles {
@@ -151,14 +146,14 @@ impl<T> Tile<T> {
     }
 }
 
-/// Evaluates every pixel of `region`, tile by tile; `cancel` is asked at every pixel, which costs less than one ray.
+/// Evaluates every pixel of `region`, tile by tile; `watch` is asked at every pixel, which costs less than one ray.
 fn for_tiles<T: Send>(
     region: Region,
-    cancel: CancelCheck<'_>,
+    watch: &dyn Watch,
     pixel: impl Fn(u32, u32, &mut Tally) -> T + Sync,
 ) -> Result<Vec<Tile<T>>, DeviceError> {
     let (columns, rows) = (region.width.div_ceil(TILE), region.height.div_ceil(TILE));
-    let cancelled = AtomicBool::new(false);
+    let (cancelled, done) = (AtomicBool::new(false), AtomicU32::new(0));
     let tiles: Vec<Option<Tile<T>>> = (0..columns * rows)
         .into_par_iter()
         .map(|number| {
@@ -173,13 +168,15 @@ fn for_tiles<T: Send>(
             let mut values = Vec::with_capacity(tile.pixels());
             for y in tile.y..tile.y + tile.height {
                 for x in tile.x..tile.x + tile.width {
-                    if cancelled.load(Ordering::Relaxed) || cancel() {
+                    if cancelled.load(Ordering::Relaxed) || watch.cancelled() {
                         cancelled.store(true, Ordering::Relaxed);
                         return None;
                     }
                     values.push(pixel(x, y, &mut tally));
                 }
             }
+            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+            watch.progress(f64::from(done) / f64::from(columns * rows));
             Some(Tile { region: tile, values, tally })
         })
         .collect();
@@ -313,6 +310,31 @@ mod tests {
         assert!(matches!(result, Err(DeviceError::Cancelled)));
         assert!(asked.load(Ordering::Relaxed) < 200);
         assert_eq!(film, PassFilm::new(region));
+    }
+
+    #[test]
+    fn a_pass_tells_how_far_it_is() {
+        struct Told(std::sync::Mutex<Vec<f64>>);
+        impl Watch for Told {
+            fn cancelled(&self) -> bool {
+                false
+            }
+
+            fn progress(&self, done: f64) {
+                self.0.lock().expect("nobody panics").push(done);
+            }
+        }
+        let (packed, settings) = job();
+        let region = Region::full(&settings);
+        let mut renderer = CpuDevice::new().prepare(packed, &settings).expect("the CPU takes any scene");
+        let told = Told(std::sync::Mutex::default());
+        let pass = Pass { region, first_sample: 0, samples: 1 };
+        renderer.render(&pass, &mut PassFilm::new(region), &told).expect("not cancelled");
+        let mut told = told.0.into_inner().expect("nobody panics");
+        told.sort_by(f64::total_cmp);
+        let tiles = region.width.div_ceil(TILE) * region.height.div_ceil(TILE);
+        let expected: Vec<f64> = (1..=tiles).map(|done| f64::from(done) / f64::from(tiles)).collect();
+        assert_eq!(told, expected);
     }
 
     #[test]

@@ -113,8 +113,21 @@ pub struct PassStats {
     pub seconds: f64,
 }
 
-/// Asked between tiles: rendering stops within one tile (tens of milliseconds) once it answers true.
-pub type CancelCheck<'a> = &'a (dyn Fn() -> bool + Sync);
+/// Whoever ordered a pass: may end it, and is told how far it is. A closure that answers whether to stop will do.
+pub trait Watch: Sync {
+    /// Asked between tiles: rendering stops within one tile (tens of milliseconds) once it answers true.
+    fn cancelled(&self) -> bool;
+
+    /// Told after every tile or slice: the share of the pass that is done, 0 to 1. Threads may tell out of order, and a
+    /// tile that is lost with its device is told of again.
+    fn progress(&self, _done: f64) {}
+}
+
+impl<F: Fn() -> bool + Sync> Watch for F {
+    fn cancelled(&self) -> bool {
+        self()
+    }
+}
 
 pub trait Device: Send {
     fn info(&self) -> DeviceInfo;
@@ -127,11 +140,10 @@ pub trait Device: Send {
 /// A scene on a device, ready to render passes of one job.
 pub trait Renderer: Send {
     /// Adds the pass's samples to the film.
-    fn render(&mut self, pass: &Pass, film: &mut PassFilm, cancel: CancelCheck<'_>) -> Result<PassStats, DeviceError>;
+    fn render(&mut self, pass: &Pass, film: &mut PassFilm, watch: &dyn Watch) -> Result<PassStats, DeviceError>;
 
     /// First-hit AOVs of a region, through pixel centres.
-    fn aovs(&mut self, region: Region, out: &mut AovBuffers, cancel: CancelCheck<'_>)
-    -> Result<PassStats, DeviceError>;
+    fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError>;
 
     /// Bytes that the device holds for this scene.
     fn device_bytes(&self) -> u64;

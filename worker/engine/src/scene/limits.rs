@@ -43,6 +43,19 @@ impl Default for Limits {
 }
 
 impl Limits {
+    /// None at all: for a scene that whoever sent it has imported before, within limits of their own.
+    pub const NONE: Self = Self {
+        input_bytes: u64::MAX,
+        geometry_bytes: u64::MAX,
+        triangles: u64::MAX,
+        instances: u64::MAX,
+        nodes: u64::MAX,
+        texture_pixels: u64::MAX,
+        image_side: u32::MAX,
+        files: u64::MAX,
+        zip_ratio: u64::MAX,
+    };
+
     /// An error at `position` unless `found <= limit`; `what` names the limited thing in the plural.
     pub(super) fn check(position: &str, what: &str, found: u64, limit: u64) -> Result<(), ImportError> {
         if found <= limit {

@@ -8,7 +8,7 @@ use super::layers::Layers;
 use super::scene::{GpuScene, Wave};
 use super::stages::{Run, Stages};
 use super::structure::{GpuStructure, HostStructure};
-use crate::device::{CancelCheck, DeviceError, Pass, PassStats, RayCounts, Region, Renderer};
+use crate::device::{DeviceError, Pass, PassStats, RayCounts, Region, Renderer, Watch};
 use crate::film::{AovBuffers, PassFilm};
 use crate::pack::{NONE, PackedScene};
 use crate::settings::{Integrator, RenderSettings};
@@ -146,7 +146,7 @@ impl GpuRenderer {
     }
 
     /// The sums over all samples of the pass of a run of pixels, the first one `first`; how many, is up to the pace.
-    fn render_run(&mut self, pass: &Pass, first: u32, cancel: CancelCheck<'_>) -> Result<RunSums, DeviceError> {
+    fn render_run(&mut self, pass: &Pass, first: u32, watch: &dyn Watch) -> Result<RunSums, DeviceError> {
         let left = pass.region.pixels() as u32 - first;
         self.reserve_stages(u64::from(left) * u64::from(pass.samples))?;
         let Some(stages) = &self.stages else { return Err(DeviceError::Other("no stages".to_owned())) };
@@ -156,7 +156,7 @@ impl GpuRenderer {
         let (closest_before, shadow_before) = stages.ray_totals(context)?;
         let mut done = 0;
         while done < pass.samples {
-            if cancel() {
+            if watch.cancelled() {
                 return Err(DeviceError::Cancelled);
             }
             let slots = stages.slots.min(self.wave_pace.slots);
@@ -178,6 +178,8 @@ impl GpuRenderer {
             render_wave(stages, &run, wave, self.integrator)?;
             self.wave_pace.record(run.longest_s.get());
             done += samples;
+            let finished = f64::from(first) + f64::from(pixels) * f64::from(done) / f64::from(pass.samples);
+            watch.progress(finished / pass.region.pixels() as f64);
         }
         let (closest, shadow) = stages.ray_totals(context)?;
         let primary = u64::from(pixels) * u64::from(pass.samples);
@@ -242,7 +244,7 @@ fn bounces(stages: &Stages, run: &Run<'_>, wave: &mut Wave, max_bounces: u32, la
 }
 
 impl Renderer for GpuRenderer {
-    fn render(&mut self, pass: &Pass, film: &mut PassFilm, cancel: CancelCheck<'_>) -> Result<PassStats, DeviceError> {
+    fn render(&mut self, pass: &Pass, film: &mut PassFilm, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
         check_region(pass.region, film.region)?;
         if pass.first_sample.checked_add(pass.samples).is_none() {
             return Err(DeviceError::Other("the pass counts its samples past 32 bits".to_owned()));
@@ -252,7 +254,7 @@ impl Renderer for GpuRenderer {
         let mut sums = Vec::with_capacity(pass.region.pixels());
         while sums.len() < pass.region.pixels() && pass.samples > 0 {
             let first = sums.len() as u32;
-            let run = self.with_retries(|renderer| renderer.render_run(pass, first, cancel))?;
+            let run = self.with_retries(|renderer| renderer.render_run(pass, first, watch))?;
             sums.extend(run.sums);
             stats.rays += run.rays;
         }
@@ -265,18 +267,13 @@ impl Renderer for GpuRenderer {
         Ok(stats)
     }
 
-    fn aovs(
-        &mut self,
-        region: Region,
-        out: &mut AovBuffers,
-        cancel: CancelCheck<'_>,
-    ) -> Result<PassStats, DeviceError> {
+    fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
         check_region(region, out.region)?;
         let started = Instant::now();
         let mut stats = PassStats::default();
         let mut hits = Vec::with_capacity(region.pixels());
         while hits.len() < region.pixels() {
-            if cancel() {
+            if watch.cancelled() {
                 return Err(DeviceError::Cancelled);
             }
             let first = hits.len() as u32;
