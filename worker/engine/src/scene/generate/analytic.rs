@@ -153,6 +153,8 @@ pub(super) fn soup(amounts: &Amounts) -> GlbWriter {
     let mut rng = Rng::new(amounts.seed, 1);
     let mut soup = Geometry::default();
     let mut previous = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    let flat = Vec3::new(1.0, 0.1, 1.0);
+    let tones = [[0.72, 0.70, 0.66], [0.30, 0.42, 0.52], [0.70, 0.44, 0.24], [0.24, 0.38, 0.34]];
     for _ in 0..amounts.triangles {
         let a = rng.in_box(Vec3::ONE);
         let (u, v) = (rng.direction(), rng.direction());
@@ -163,8 +165,11 @@ pub(super) fn soup(amounts: &Amounts) -> GlbWriter {
             2 => [a, a + u * 0.5, a + u * 0.5 + v * 1e-4],
             // A speck.
             3 => [a, a + u * 1e-5, a + v * 1e-5],
-            // A giant through half of the others.
-            4 if rng.below(50) == 0 => [a + u * 1.5, a + v * 1.5, a - (u + v) * 1.5],
+            // A giant through half of the others; it lies so that the camera sees it from the edge.
+            4 if rng.below(50) == 0 => {
+                let (u, v) = ((u * flat).normalize_or(Vec3::X), (v * flat).normalize_or(Vec3::Z));
+                [a + u * 1.5, a + v * 1.5, a - (u + v) * 1.5]
+            }
             // The previous one once more, turned around.
             5 => [previous[0], previous[2], previous[1]],
             // Without area: two corners in one place, or all on a line.
@@ -174,13 +179,14 @@ pub(super) fn soup(amounts: &Amounts) -> GlbWriter {
         };
         let base = soup.positions.len() as u32;
         soup.positions.extend(triangle);
+        soup.colors.extend([tones[base as usize / 3 % tones.len()]; 3]);
         soup.triangles.push([base, base + 1, base + 2]);
         previous = triangle;
     }
     let mut glb = GlbWriter::new();
     let material = glb.material(&MaterialSpec {
         name: "soup",
-        base_color: [0.6, 0.65, 0.7],
+        base_color: [1.0; 3],
         double_sided: true,
         ..MaterialSpec::default()
     });

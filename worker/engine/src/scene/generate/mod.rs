@@ -74,7 +74,7 @@ pub const KINDS: &[Kind] = &[
     },
     Kind {
         name: "furnace-sphere",
-        help: "a white diffuse sphere: under a constant environment of 1, no pixel may exceed 1",
+        help: "a white diffuse sphere, which must vanish under a constant environment: all of the picture is 1",
         default_triangles: 20_000,
         default_count: 0,
         make: analytic::furnace_sphere,
