@@ -28,7 +28,7 @@ pub struct RenderSettings {
     pub adapter: Option<String>,
     /// A camera of the scene by name or number, or one given here; null takes the scene's first, or frames the scene.
     pub camera: Option<CameraChoice>,
-    /// Constant radiance or a map; null is black unless the scene has no light at all, which gets a grey sky of 1.
+    /// Constant radiance or a map; null is black, or a grey sky of 1 where the scene has no light: textures of emission are none.
     pub environment: Option<Environment>,
     /// Lights beside the scene's own.
     pub lights: Vec<Light>,

@@ -7,7 +7,7 @@ use lightshaft_api::problem::FieldError;
 use lightshaft_api::settings as api;
 use lightshaft_engine::accel::{BuildParams, Quality};
 use lightshaft_engine::film::ToneMap;
-use lightshaft_engine::scene::{self, Camera, Projection, PunctualKind, PunctualLight, Scene};
+use lightshaft_engine::scene::{self, Camera, Material, Projection, PunctualKind, PunctualLight, Scene};
 use lightshaft_engine::settings::{self as engine, Aov, HdrImage};
 
 /// Vertical field of view of a camera that does not say its own.
@@ -144,8 +144,11 @@ fn environment(
     })
 }
 
+/// Whether something in the scene is there to light it. A texture of emission is not: it marks indicator lamps and screens,
+/// in whose glow alone nothing would be seen.
 fn has_lights(scene: &Scene) -> bool {
-    let emits = |&material: &u32| scene.materials.get(material as usize).is_some_and(|m| m.emissive != Vec3::ZERO);
+    let lights = |m: &Material| m.emissive != Vec3::ZERO && m.emissive_texture.is_none();
+    let emits = |&material: &u32| scene.materials.get(material as usize).is_some_and(lights);
     !scene.lights.is_empty() || scene.instances.iter().any(|instance| instance.materials.iter().any(emits))
 }
 
@@ -280,6 +283,29 @@ mod tests {
         assert_eq!(resolved.extra_lights[0].intensity, Vec3::new(10.0, 5.0, 0.0));
         let dark = RenderSettings { environment: Some(api::Environment::Grey(0.0)), ..RenderSettings::default() };
         assert_eq!(sky(&dark), Vec3::ZERO);
+    }
+
+    #[test]
+    fn emission_is_a_light_unless_a_texture_says_where() {
+        let sky = |material: Material| {
+            let instance = scene::Instance {
+                name: String::new(),
+                mesh: 0,
+                transform: glam::Affine3A::IDENTITY,
+                materials: vec![0],
+            };
+            let scene = Scene { materials: vec![material], instances: vec![instance], ..scene() };
+            match resolve(&RenderSettings::default(), &scene, None).unwrap().environment {
+                engine::Environment::Constant(radiance) => radiance,
+                engine::Environment::Map { .. } => panic!("no map was asked for"),
+            }
+        };
+        let lamp = Material { emissive: Vec3::ONE, ..Material::default() };
+        let texture = scene::TextureRef { texture: 0, uv_set: 0, transform: scene::TextureRef::IDENTITY };
+        let screen = Material { emissive_texture: Some(texture), ..lamp.clone() };
+        assert_eq!(sky(lamp), Vec3::ZERO);
+        assert_eq!(sky(screen), Vec3::ONE);
+        assert_eq!(sky(Material::default()), Vec3::ONE);
     }
 
     #[test]

@@ -78,14 +78,12 @@ impl App {
 
     /// Renders a small picture of a new scene, when nothing else is to do.
     pub(super) async fn create_thumbnail_job(&self, scene: &Scene) -> ApiResult<()> {
-        let is_lit = !scene.summary.lights.is_empty() || scene.summary.emitters > 0;
         let settings = RenderSettings {
             integrator: Integrator::Path,
             width: 320,
             height: 240,
             spp: 32,
             max_bounces: 3,
-            environment: (!is_lit).then_some(Environment::Grey(1.0)),
             outputs: vec![Output::Png],
             ..RenderSettings::default()
         };

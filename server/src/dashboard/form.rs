@@ -314,7 +314,7 @@ fn lighting(s: &RenderSettings) -> Section {
             "/settings/environment",
             "Sky",
             "",
-            "Automatic: a grey sky where the scene has no light, else black.",
+            "Automatic: a grey sky where the scene has no light, else black. Textures of emission are no light.",
             modes(
                 mode,
                 &[("", "Automatic"), ("@grey", "Grey"), ("@color", "A colour"), ("@map", "A map (HDR or EXR)")],
