@@ -96,10 +96,27 @@ pub(super) fn utc(value: impl Instant, _: &dyn Values) -> askama::Result<String>
     Ok(value.at().strftime("%Y-%m-%d %H:%M:%S UTC").to_string())
 }
 
-/// The first twelve characters of a hash or id; the whole is in a title or link beside it.
+/// Of an id (UUID version 7) the time and the first random digits: what comes after the same millisecond differs here.
+#[askama::filter_fn]
+pub(super) fn short_id(value: impl AsRef<str>, _: &dyn Values) -> askama::Result<String> {
+    Ok(value.as_ref().chars().take(18).collect())
+}
+
+/// The first twelve characters of a hash; the whole is in a title or link beside it.
 #[askama::filter_fn]
 pub(super) fn brief(value: impl AsRef<str>, _: &dyn Values) -> askama::Result<String> {
     Ok(value.as_ref().chars().take(12).collect())
+}
+
+/// `there is no worker` as `There is no worker.`
+#[askama::filter_fn]
+pub(super) fn sentence(value: impl AsRef<str>, _: &dyn Values) -> askama::Result<String> {
+    let mut characters = value.as_ref().chars();
+    let mut text: String = characters.next().into_iter().flat_map(char::to_uppercase).chain(characters).collect();
+    if !text.ends_with(['.', '!', '?']) {
+        text.push('.');
+    }
+    Ok(text)
 }
 
 /// `geometric_normal` as `Geometric normal`.

@@ -1,6 +1,6 @@
-// Buttons that make one request (cancel, pause, retry, drain, delete), and buttons that copy.
+// Buttons that make one request (cancel, pause, retry, priority, drain, delete), and buttons that copy.
 import { notice, request } from './problem.js';
-import { refresh } from './live.js';
+import { announce, refresh } from './live.js';
 
 export function startActions() {
   document.addEventListener('submit', (event) => {
@@ -16,22 +16,36 @@ export function startActions() {
 }
 
 async function perform(form) {
-  const { action, method, body, then, confirm: question } = form.dataset;
-  if (question && !confirm(question)) return;
-  const button = form.querySelector('button');
+  const { action, method, then, done, confirm: question } = form.dataset;
+  // Not `disabled`, which would take the focus away from whoever works with the keyboard.
+  if (form.ariaBusy === 'true' || (question && !confirm(question))) return;
   const alerts = document.getElementById('alerts');
-  button.disabled = true;
+  const body = bodyOf(form);
+  form.ariaBusy = 'true';
   try {
     const headers = body ? { 'Content-Type': 'application/json' } : {};
     await request(action, { method, headers, body });
     alerts.replaceChildren();
-    if (then) location.assign(then);
-    else await refresh();
+    if (then) {
+      location.assign(then);
+      return;
+    }
+    await refresh();
+    form.reset();
+    if (done) announce(done);
   } catch (problem) {
     alerts.replaceChildren(notice(problem));
+    alerts.scrollIntoView({ block: 'nearest' });
   } finally {
-    button.disabled = false;
+    form.ariaBusy = null;
   }
+}
+
+// What the form says to send, or else its numbers by name.
+function bodyOf(form) {
+  if (form.dataset.body) return form.dataset.body;
+  const numbers = [...form.querySelectorAll('input[type=number]')].map((input) => [input.name, input.valueAsNumber]);
+  return numbers.length > 0 ? JSON.stringify(Object.fromEntries(numbers)) : undefined;
 }
 
 async function copy(button) {
@@ -45,5 +59,6 @@ async function copy(button) {
   }
   const before = button.textContent;
   button.textContent = 'Copied';
+  announce('Copied.');
   setTimeout(() => (button.textContent = before), 1500);
 }

@@ -1,6 +1,7 @@
 // The form that submits a job. Every field carries the JSON pointer of its value: the request is built from the pointers,
 // checked by the service while one types, and what the service says about a pointer appears beside its field.
-import { element, notice, request } from './problem.js';
+import { startEnvironment } from './environment.js';
+import { element, request } from './problem.js';
 
 const CHECK_AFTER_MS = 300;
 
@@ -9,16 +10,24 @@ export function startForm() {
   if (!form) return;
   let timer = null;
   let round = 0;
+  const key = submissionKey();
 
+  // Whether the form can be submitted; says what stands against it.
   const check = async () => {
+    clearTimeout(timer);
     const mine = ++round;
     const body = readForm(form);
     showCurl(form, body);
     try {
       const { tasks } = await post('/v1/jobs?validate_only=true', body);
-      if (mine === round) showVerdict(form, true, tasks === 1 ? 'Ready to submit.' : `Ready to submit: ${tasks} tasks.`, []);
+      if (mine !== round) return false;
+      const isReadable = complaints(form).size === 0;
+      if (!isReadable) showProblem(form, { title: 'Some fields cannot be read', errors: [] });
+      else showVerdict(form, true, tasks === 1 ? 'Ready to submit.' : `Ready to submit: ${tasks} tasks.`, []);
+      return isReadable;
     } catch (problem) {
       if (mine === round) showProblem(form, problem);
+      return false;
     }
   };
   const changed = () => {
@@ -30,25 +39,44 @@ export function startForm() {
   form.addEventListener('input', changed);
   form.addEventListener('submit', async (event) => {
     event.preventDefault();
-    clearTimeout(timer);
-    round++;
-    const button = form.querySelector('[type=submit]');
-    button.disabled = true;
+    if (form.ariaBusy === 'true') return;
+    form.ariaBusy = 'true';
     try {
-      const headers = { 'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random()) };
-      const job = await post('/v1/jobs', readForm(form), headers);
+      if (!(await check())) {
+        focusFirstError(form);
+        return;
+      }
+      const body = readForm(form);
+      const job = await post('/v1/jobs', body, { 'Idempotency-Key': key.of(body) });
+      key.renew();
       location.assign(`/jobs/${encodeURIComponent(job.id)}`);
     } catch (problem) {
       showProblem(form, problem);
-      form.querySelector('[aria-invalid=true]')?.focus();
-      button.disabled = false;
+      focusFirstError(form);
+    } finally {
+      form.ariaBusy = null;
     }
   });
   document.getElementById('scene').addEventListener('change', () => loadCameras().then(changed));
   startLights(form, changed);
-  startEnvironment(changed);
+  startEnvironment(form, changed);
   showWanted(form);
   check();
+}
+
+// The same for the same request, until one has been answered: submitting again after a lost answer makes no second job.
+function submissionKey() {
+  let last = { text: '', key: '' };
+  return {
+    of(body) {
+      const text = JSON.stringify(body);
+      if (text !== last.text) last = { text, key: crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}` };
+      return last.key;
+    },
+    renew() {
+      last = { text: '', key: '' };
+    },
+  };
 }
 
 function post(address, body, headers = {}) {
@@ -90,7 +118,7 @@ function valueOf(control) {
     case 'several':
       return parts(':checked').map((box) => JSON.parse(box.value));
     case 'vector':
-      return parts('input').map((input) => Number(input.value));
+      return parts('input').map((input) => Number(input.value)); // what is missing is 0 until it is there
     case 'labels':
       return labelsOf(control.value);
     default:
@@ -98,11 +126,40 @@ function valueOf(control) {
   }
 }
 
+// What the service cannot say, because it never sees it: what is written in a field, but is no value.
+function complaints(form) {
+  const found = new Map();
+  for (const box of form.querySelectorAll('.field:not([hidden])')) {
+    const text = complaint(box.querySelector('[data-value]'));
+    if (text) found.set(box, text);
+  }
+  return found;
+}
+
+function complaint(control) {
+  switch (control.dataset.value) {
+    case 'number':
+      return control.validity.badInput ? 'must be a number' : '';
+    case 'vector':
+      return [...control.querySelectorAll('input')].some((input) => input.value === '') ? 'must be three numbers' : '';
+    case 'labels': {
+      const wrong = linesOf(control.value).find((line) => line.indexOf('=') < 1);
+      return wrong === undefined ? '' : `"${wrong}" must be key=value`;
+    }
+    default:
+      return '';
+  }
+}
+
+function linesOf(text) {
+  return text.split('\n').map((line) => line.trim()).filter(Boolean);
+}
+
 function labelsOf(text) {
-  const lines = text.split('\n').map((line) => line.trim()).filter(Boolean);
+  const lines = linesOf(text).filter((line) => line.indexOf('=') > 0);
   return Object.fromEntries(lines.map((line) => {
     const at = line.indexOf('=');
-    return at < 0 ? [line, ''] : [line.slice(0, at).trim(), line.slice(at + 1).trim()];
+    return [line.slice(0, at).trim(), line.slice(at + 1).trim()];
   }));
 }
 
@@ -135,10 +192,12 @@ function showVerdict(form, good, text, others) {
 
 // Every error goes to the field whose pointer is the longest beginning of its own.
 function showProblem(form, problem) {
-  const errors = new Map([...form.querySelectorAll('.field')].map((box) => [box, '']));
+  const own = complaints(form);
+  const errors = new Map([...form.querySelectorAll('.field')].map((box) => [box, own.get(box) ?? '']));
   const others = [];
   for (const { pointer, detail } of problem.errors) {
     const box = fieldFor(form, pointer);
+    if (own.has(box)) continue;
     if (box) errors.set(box, errors.get(box) ? `${errors.get(box)}; ${detail}` : detail);
     else others.push(errorItem(pointer, detail));
   }
@@ -169,6 +228,12 @@ function setError(box, text) {
   if (place.textContent !== text) place.textContent = text;
   if (text) control.setAttribute('aria-invalid', 'true');
   else control.removeAttribute('aria-invalid');
+}
+
+// A fieldset cannot have the focus: its first input can.
+function focusFirstError(form) {
+  const wrong = form.querySelector('[aria-invalid=true]');
+  (wrong?.querySelector('input') ?? wrong)?.focus();
 }
 
 // The page for the chosen scene knows its cameras.
@@ -218,26 +283,6 @@ function number(list) {
     light.querySelector('legend').textContent = `Light ${index + 1}`;
     for (const box of light.querySelectorAll('[data-pointer]')) {
       box.dataset.pointer = box.dataset.pointer.replace(/\/lights\/\d+\//, `/lights/${index}/`);
-    }
-  });
-}
-
-// An environment map goes to the blob store first; its hash is the setting.
-function startEnvironment(changed) {
-  const input = document.getElementById('environment-file');
-  if (!input) return;
-  input.addEventListener('change', async () => {
-    const target = document.getElementById(input.dataset.fills);
-    const alerts = document.getElementById('alerts');
-    try {
-      const { hash } = await request('/v1/blobs', { method: 'POST', body: input.files[0] });
-      target.value = hash;
-      alerts.replaceChildren();
-      changed();
-    } catch (problem) {
-      alerts.replaceChildren(notice(problem));
-    } finally {
-      input.value = '';
     }
   });
 }

@@ -29,6 +29,16 @@ export function startLive() {
   document.addEventListener('visibilitychange', () => {
     if (!document.hidden) refreshSoon();
   });
+  // A page that the browser keeps while one is elsewhere must not hold a connection, and is old when one comes back.
+  addEventListener('pagehide', () => {
+    stream?.close();
+    stream = null;
+  });
+  addEventListener('pageshow', (event) => {
+    if (!event.persisted) return;
+    listen();
+    refreshSoon();
+  });
 }
 
 function listen() {
@@ -45,7 +55,6 @@ function listen() {
   stream.addEventListener('error', () => {
     if (stream?.readyState === EventSource.CLOSED) stream = null; // the next refresh opens another
   });
-  addEventListener('pagehide', () => stream?.close(), { once: true });
 }
 
 function schedulePoll() {
@@ -113,6 +122,7 @@ function spokenState() {
   return state && (quarter ? `${state}, ${quarter} percent` : state);
 }
 
-function announce(text) {
+// Tells a screen reader, without moving the focus.
+export function announce(text) {
   document.getElementById('announcer').textContent = text;
 }

@@ -1,11 +1,15 @@
 // The log of a job: read again after each refresh, and kept at its end while "follow" is on.
 import { onRefresh } from './live.js';
 
+// A worker's last lines may come after the job's end: a cancelled one is over before its worker knows.
+const LATE_LINES_MS = [1500, 6000, 20000];
+
 export function startLog() {
   const log = document.getElementById('log');
   if (!log) return;
   const follow = document.getElementById('follow');
   let tag = null;
+  let isOver = !document.body.dataset.events;
   const load = async () => {
     try {
       const response = await fetch(log.dataset.log, { headers: tag ? { 'If-None-Match': tag } : {} });
@@ -19,7 +23,12 @@ export function startLog() {
       // The next refresh tries again.
     }
   };
-  onRefresh(load);
+  onRefresh(() => {
+    load();
+    const wasOver = isOver;
+    isOver = !document.body.dataset.events;
+    if (isOver && !wasOver) for (const delay of LATE_LINES_MS) setTimeout(load, delay);
+  });
   follow.addEventListener('change', load);
   load();
 }

@@ -81,6 +81,7 @@ pub(crate) fn job(id: &str, state: &str) -> Job {
                 artifact("metrics.json", "application/json", 1830)])
         } else { json!([]) },
         "metrics": done.then(metrics),
+        "waiting": (state == "queued").then_some("every worker <i>left</i>"),
         "preview": (state == "running").then(|| format!("/v1/jobs/{id}/preview.png")),
     }))
 }
