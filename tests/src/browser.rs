@@ -1,12 +1,23 @@
 //! A real browser: headless Chromium, driven by chromedriver over plain WebDriver (W3C) HTTP.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
 use crate::process;
+
+/// Keys that have no character, as WebDriver writes them (section 17.4.2 of its specification).
+pub mod keys {
+    pub const TAB: &str = "\u{e004}";
+    pub const ENTER: &str = "\u{e007}";
+    pub const SPACE: &str = "\u{e00d}";
+    pub const DOWN: &str = "\u{e015}";
+    pub const SHIFT: &str = "\u{e008}";
+    pub const CONTROL: &str = "\u{e009}";
+}
 
 pub struct Browser {
     driver: Child,
@@ -34,7 +45,7 @@ impl Browser {
         let http = reqwest::Client::new();
         let chrome = json!({"args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,1600"]});
         let wanted = json!({"capabilities": {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": chrome,
-            "goog:loggingPrefs": {"browser": "ALL"}}}});
+            "goog:loggingPrefs": {"browser": "ALL", "performance": "ALL"}}}});
         let base = format!("http://127.0.0.1:{port}/session");
         let reply: Value =
             http.post(&base).json(&wanted).send().await.expect("chromedriver answers").json().await.expect("JSON");
@@ -46,9 +57,14 @@ impl Browser {
         self.post("url", json!({"url": url})).await;
     }
 
-    /// Evaluates JavaScript (`return ...`) in the page.
+    /// Evaluates JavaScript (`return ...`) in the page. A promise is awaited.
     pub async fn script(&self, script: &str) -> Value {
-        self.post("execute/sync", json!({"script": script, "args": []})).await
+        self.script_with(script, json!([])).await
+    }
+
+    /// As [`Browser::script`], with `arguments`.
+    pub async fn script_with(&self, script: &str, arguments: Value) -> Value {
+        self.post("execute/sync", json!({"script": script, "args": arguments})).await
     }
 
     /// Repeats a script until it returns something but null and false.
@@ -82,28 +98,115 @@ impl Browser {
         self.post(&format!("element/{element}/click"), json!({})).await;
     }
 
-    /// Messages of the console at level SEVERE: script errors and loads that failed.
+    /// Clicks on the first button or link within `selector` that says `text`, and nothing else.
+    ///
+    /// # Panics
+    /// When there is none.
+    pub async fn click_on(&self, selector: &str, text: &str) {
+        let find =
+            "return [...document.querySelectorAll(arguments[0])].flatMap((e) => [...e.querySelectorAll('a,button')])
+            .find((e) => e.innerText.trim().replace(/\\s+/g, ' ') === arguments[1]) ?? null";
+        let found = self.script_with(find, json!([selector, text])).await;
+        let element = id_of(&found).unwrap_or_else(|| panic!("{text:?} within {selector}: {found}"));
+        self.post(&format!("element/{element}/click"), json!({})).await;
+    }
+
+    /// Presses and releases keys one after another, wherever the focus is. A modifier of [`keys`] is held for the rest.
+    pub async fn press(&self, pressed: &[&str]) {
+        let (held, struck): (Vec<&str>, Vec<&str>) =
+            pressed.iter().partition(|&&key| key == keys::SHIFT || key == keys::CONTROL);
+        let action = |kind: &str, key: &str| json!({"type": kind, "value": key});
+        let mut actions: Vec<Value> = held.iter().map(|key| action("keyDown", key)).collect();
+        for text in struck {
+            for character in text.chars() {
+                let key = character.to_string();
+                actions.extend([action("keyDown", &key), action("keyUp", &key)]);
+            }
+        }
+        actions.extend(held.iter().rev().map(|key| action("keyUp", key)));
+        self.post("actions", json!({"actions": [{"type": "key", "id": "keyboard", "actions": actions}]})).await;
+    }
+
+    /// A command of the browser's own protocol (Chrome DevTools), for what WebDriver has no words for.
+    pub async fn devtools(&self, command: &str, parameters: Value) -> Value {
+        self.post("goog/cdp/execute", json!({"cmd": command, "params": parameters})).await
+    }
+
+    /// Shows pages as on a screen of this width, and in the scheme of colours `light` or `dark`.
+    pub async fn look(&self, width: u32, scheme: &str) {
+        let screen = json!({"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": false});
+        self.devtools("Emulation.setDeviceMetricsOverride", screen).await;
+        let features = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
+        self.devtools("Emulation.setEmulatedMedia", features).await;
+    }
+
+    /// Drags files or folders of this machine over the first element of a selector and lets them go there.
+    pub async fn drop_on(&self, selector: &str, paths: &[&Path]) {
+        let middle = "const r = document.querySelector(arguments[0]).getBoundingClientRect();
+            return [r.x + r.width / 2, r.y + r.height / 2]";
+        let middle = self.script_with(middle, json!([selector])).await;
+        let data = json!({"items": [], "files": paths, "dragOperationsMask": 1});
+        for kind in ["dragEnter", "dragOver", "drop"] {
+            let event = json!({"type": kind, "x": middle[0], "y": middle[1], "data": data});
+            self.devtools("Input.dispatchDragEvent", event).await;
+        }
+    }
+
+    /// What an open question of the page (`confirm`) says; it is answered with yes.
+    pub async fn accept(&self) -> String {
+        let text = self.get("alert/text").await;
+        self.post("alert/accept", json!({})).await;
+        text.as_str().unwrap_or_default().to_owned()
+    }
+
+    /// Messages of the console at level SEVERE since the last call: script errors and loads that failed.
     pub async fn errors(&self) -> Vec<String> {
-        let entries = self.post("se/log", json!({"type": "browser"})).await;
-        let entries = entries.as_array().cloned().unwrap_or_default();
+        let entries = self.log("browser").await;
         let severe = entries.iter().filter(|entry| entry["level"] == "SEVERE");
         severe.map(|entry| entry["message"].as_str().unwrap_or_default().to_owned()).collect()
     }
 
+    /// Addresses that pages asked for since the last call.
+    pub async fn requests(&self) -> Vec<String> {
+        let entries = self.log("performance").await;
+        let messages = entries.iter().filter_map(|entry| serde_json::from_str(entry["message"].as_str()?).ok());
+        let sent = messages.filter_map(|message: Value| {
+            let message = &message["message"];
+            let is_request = message["method"] == "Network.requestWillBeSent";
+            is_request.then(|| message["params"]["request"]["url"].as_str().unwrap_or_default().to_owned())
+        });
+        sent.collect()
+    }
+
+    async fn log(&self, kind: &str) -> Vec<Value> {
+        self.post("se/log", json!({"type": kind})).await.as_array().cloned().unwrap_or_default()
+    }
+
     async fn element(&self, selector: &str) -> String {
         let found = self.post("element", json!({"using": "css selector", "value": selector})).await;
-        let mut ids = found.as_object().into_iter().flat_map(|element| element.values());
-        ids.next().and_then(Value::as_str).unwrap_or_else(|| panic!("{selector}: {found}")).to_owned()
+        id_of(&found).unwrap_or_else(|| panic!("{selector}: {found}"))
+    }
+
+    async fn get(&self, command: &str) -> Value {
+        read(command, self.http.get(format!("{}/{command}", self.session))).await
     }
 
     async fn post(&self, command: &str, body: Value) -> Value {
-        let url = format!("{}/{command}", self.session);
-        let response = self.http.post(url).json(&body).send().await.expect("chromedriver answers");
-        let ok = response.status().is_success();
-        let mut reply: Value = response.json().await.expect("JSON");
-        assert!(ok, "{command} {body}: {}", reply["value"]["message"]);
-        reply["value"].take()
+        read(command, self.http.post(format!("{}/{command}", self.session)).json(&body)).await
     }
+}
+
+/// The id of a found element: the one value of an object whose key is a constant of the specification.
+fn id_of(element: &Value) -> Option<String> {
+    Some(element.as_object()?.values().next()?.as_str()?.to_owned())
+}
+
+async fn read(command: &str, request: reqwest::RequestBuilder) -> Value {
+    let response = request.send().await.expect("chromedriver answers");
+    let is_good = response.status().is_success();
+    let mut reply: Value = response.json().await.expect("JSON");
+    assert!(is_good, "{command}: {}", reply["value"]["message"]);
+    reply["value"].take()
 }
 
 impl Drop for Browser {
