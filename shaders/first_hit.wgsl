@@ -41,7 +41,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     out.primitive_tests = traced.primitive_tests;
     if traced.hit.instance != NONE {
         let surface = shade_point(hit_point(ray, traced.hit), -ray.direction);
-        out.depth = traced.hit.t;
+        out.depth = traced.hit.t * dot(ray.direction, scene.camera.forward);
         out.position = surface.position;
         out.geometric_normal = surface.geometric_normal;
         out.shading_normal = surface.normal;

@@ -67,7 +67,7 @@ pub struct Ground {
 /// Per-pixel quantities of the first hit of the ray through the pixel's centre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Aov {
-    /// World-space distance along the ray (not z), infinite on a miss.
+    /// Planar: world-space distance from the camera along its forward axis, infinite on a miss.
     Depth,
     Position,
     GeometricNormal,

@@ -1,7 +1,8 @@
 //! OpenEXR files for further work: linear radiance and named layers.
 //!
 //! One part with channels `R`, `G`, `B` and, for each AOV, `<layer>.<channel>` (`depth.Z`, `position.X`, `albedo.R`,
-//! `instance_id.I`, ...), the naming that viewers and compositors group layers by. Radiance and vectors are 32-bit
+//! `instance_id.I`, ...), the naming that viewers and compositors group layers by. Depth is planar, along the camera's
+//! axis. Radiance and vectors are 32-bit
 //! floats, ids and counts unsigned 32-bit integers. ZIP compression, no loss.
 
 use std::io::Cursor;

@@ -15,7 +15,8 @@ use crate::trace::Counters;
 /// All quantities of one pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FirstHit {
-    /// World-space distance along the ray; infinite on a miss.
+    /// Planar: the world-space distance from the camera along its forward axis, not along the ray, as compositors read
+    /// `Z`; infinite on a miss.
     pub depth: f32,
     /// Vectors are zero on a miss.
     pub position: Vec3,
@@ -53,7 +54,7 @@ pub fn first_hit(scene: &PackedScene, x: u32, y: u32, tally: &mut Tally) -> Firs
     };
     if let Some(hit) = hit {
         let surface = shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction);
-        out.depth = hit.t;
+        out.depth = hit.t * ray.direction.dot(Vec3::from_array(scene.camera.forward));
         out.position = surface.position;
         out.geometric_normal = surface.geometric_normal;
         out.shading_normal = surface.normal;
@@ -72,5 +73,27 @@ pub fn normal_radiance(scene: &PackedScene, sample: Sample, tally: &mut Tally) -
     match scene.accel.closest(&ray, &AlphaFilter { scene, seed: SEED_HALF }, &mut tally.counters) {
         Some(hit) => shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction).normal * 0.5 + Vec3::splat(0.5),
         None => Vec3::ZERO,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Affine3A;
+
+    use super::*;
+    use crate::integrate::tests::{camera, matte, prepare, scene, settings, square};
+    use crate::scene::{Camera, Projection};
+    use crate::settings::Integrator;
+
+    #[test]
+    fn depth_is_the_same_all_over_a_wall_before_the_camera() {
+        let projection = Projection::Perspective { fov_y_rad: 0.6 };
+        let camera = Camera { projection, ..camera(Vec3::ZERO, Vec3::Z, 3.0, 1.0) };
+        let scene = scene(vec![(square(), matte(0.5, 1.0), Affine3A::IDENTITY)]);
+        let packed = prepare(&scene, &settings(Integrator::Aov, camera, 0.0));
+        for (x, y) in [(0, 0), (16, 16), (31, 3)] {
+            let depth = first_hit(&packed, x, y, &mut Tally::default()).depth;
+            assert!((depth - 3.0).abs() < 1e-5, "{depth} at {x}, {y}");
+        }
     }
 }
