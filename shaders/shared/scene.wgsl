@@ -37,15 +37,12 @@ struct PackedMaterial {
     metallic: f32,
     roughness: f32,
     normal_scale: f32,
-    occlusion_strength: f32,
     alpha_cutoff: f32,
     flags: u32,
     base_color_texture: u32,
     metallic_roughness_texture: u32,
     normal_texture: u32,
-    occlusion_texture: u32,
     emissive_texture: u32,
-    _pad: array<u32, 2>,
 }
 
 const WRAP_MIRRORED = 1u;

@@ -123,7 +123,7 @@ fn custom_camera(custom: &api::CustomCamera) -> Camera {
         Some(half_height) => Projection::Orthographic { half_height },
         None => Projection::Perspective { fov_y_rad: custom.fov_y_deg.unwrap_or(DEFAULT_FOV_Y_DEG).to_radians() },
     };
-    Camera { name: "custom".into(), position, forward, up: right.cross(forward), projection }
+    Camera { name: "custom".into(), position, forward, up: right.cross(forward), projection, frame_aspect: None }
 }
 
 fn environment(
@@ -215,6 +215,7 @@ mod tests {
             forward: Vec3::NEG_Z,
             up: Vec3::Y,
             projection: Projection::Perspective { fov_y_rad: 1.0 },
+            frame_aspect: None,
         }
     }
 
@@ -289,10 +290,10 @@ mod tests {
     fn emission_is_a_light_unless_a_texture_says_where() {
         let sky = |material: Material| {
             let instance = scene::Instance {
-                name: String::new(),
+                name: "".into(),
                 mesh: 0,
                 transform: glam::Affine3A::IDENTITY,
-                materials: vec![0],
+                materials: [0].into(),
             };
             let scene = Scene { materials: vec![material], instances: vec![instance], ..scene() };
             match resolve(&RenderSettings::default(), &scene, None).unwrap().environment {

@@ -132,6 +132,7 @@ fn settings(entry: &Entry, spp: u32) -> Result<RenderSettings> {
             forward,
             up: right.cross(forward),
             projection: Projection::Perspective { fov_y_rad: entry.camera.fov_y_deg.to_radians() },
+            frame_aspect: None,
         },
         environment: Environment::Constant(Vec3::splat(entry.settings.environment)),
         extra_lights: Vec::new(),

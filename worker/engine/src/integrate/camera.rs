@@ -7,8 +7,9 @@ use crate::pack::PackedCamera;
 use crate::scene::{Camera, Projection};
 use crate::trace::Ray;
 
-/// Prepares a camera for a picture of `width` x `height` square pixels. The view's vertical extent is the camera's; the
-/// horizontal one follows from the picture.
+/// Prepares a camera for a picture of `width` x `height` square pixels. The view contains the camera's frame: its vertical
+/// extent is the frame's, and more where the picture is narrower than the frame; the horizontal one follows from the
+/// picture.
 pub fn pack_camera(camera: &Camera, width: u32, height: u32) -> PackedCamera {
     let forward = normalize_or(camera.forward, Vec3::NEG_Z);
     let right = normalize_or(forward.cross(camera.up), super::math::basis(forward).0);
@@ -18,6 +19,7 @@ pub fn pack_camera(camera: &Camera, width: u32, height: u32) -> PackedCamera {
         Projection::Perspective { fov_y_rad } => ((0.5 * fov_y_rad).tan(), 0),
         Projection::Orthographic { half_height } => (half_height, 1),
     };
+    let half_height = half_height * camera.frame_aspect.map_or(1.0, |frame| (frame / aspect).max(1.0));
     PackedCamera {
         position: camera.position.to_array(),
         orthographic,
@@ -56,6 +58,7 @@ mod tests {
             forward: Vec3::NEG_Z,
             up: Vec3::Y,
             projection,
+            frame_aspect: None,
         }
     }
 
@@ -74,6 +77,24 @@ mod tests {
         let ray = camera_ray(&packed, 99, 99, 1.0, 1.0);
         assert_eq!(ray.direction, Vec3::NEG_Z);
         assert!((ray.origin - Vec3::new(4.0, -1.0, 3.0)).length() < 1e-5);
+    }
+
+    #[test]
+    fn a_narrow_picture_keeps_the_width_of_the_cameras_frame() {
+        for projection in [Projection::Orthographic { half_height: 3.0 }, Projection::Perspective { fov_y_rad: 1.0 }] {
+            let of = |frame_aspect, width, height| {
+                let packed = pack_camera(&Camera { frame_aspect, ..camera(projection) }, width, height);
+                (Vec3::from_array(packed.right).length(), Vec3::from_array(packed.up).length())
+            };
+            let (_, height) = of(None, 100, 100);
+            let close = |got: (f32, f32), x: f32, y: f32| {
+                assert!((got.0 - x).abs() + (got.1 - y).abs() < 1e-4, "{got:?}, expected {x} {y}");
+            };
+            close(of(Some(2.0), 100, 100), 2.0 * height, 2.0 * height);
+            close(of(Some(2.0), 200, 100), 2.0 * height, height);
+            close(of(Some(2.0), 400, 100), 4.0 * height, height);
+            close(of(Some(0.5), 100, 100), height, height);
+        }
     }
 
     #[test]

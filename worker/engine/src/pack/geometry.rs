@@ -1,5 +1,8 @@
 //! Meshes and instances into flat arrays.
 
+use std::collections::HashMap;
+use std::sync::Arc;
+
 use glam::{Affine3A, Mat3A};
 
 use super::{
@@ -34,10 +37,12 @@ pub(super) fn pack_geometry(scene: &Scene) -> Result<Geometry, PackError> {
     for mesh in &scene.meshes {
         pack_mesh(mesh, &mut out)?;
     }
+    let mut lists = MaterialLists::default();
     for (number, instance) in scene.instances.iter().enumerate() {
-        let packed = pack_instance(scene, number, instance, &mut out.instance_materials)?;
+        let packed = pack_instance(scene, number, instance, &mut lists)?;
         out.instances.push(packed);
     }
+    out.instance_materials = lists.materials;
     out.bounds = scene.world_bounds();
     index("vertices", out.positions.len())?;
     index("primitives", out.slots.len())?;
@@ -56,6 +61,10 @@ fn pack_mesh(mesh: &Mesh, out: &mut Geometry) -> Result<(), PackError> {
     if mesh.triangle_slots.len() != mesh.triangles.len() {
         let (slots, triangles) = (mesh.triangle_slots.len(), mesh.triangles.len());
         return Err(invalid(format!("has {slots} triangle slots for {triangles} triangles")));
+    }
+    let most = mesh.triangle_slots.iter().chain(mesh.spheres.iter().map(|s| &s.slot)).max();
+    if let Some(slot) = most.filter(|&&slot| slot >= mesh.slots) {
+        return Err(invalid(format!("names slot {slot} of {}", mesh.slots)));
     }
     let packed = PackedMesh {
         position_offset: index("vertices", out.positions.len())?,
@@ -113,11 +122,41 @@ fn append(
     Ok(offset)
 }
 
+/// The materials of all instances, lists that instances share once.
+#[derive(Default)]
+struct MaterialLists {
+    materials: Vec<u32>,
+    /// Where each list begins, and the flags that its materials give to an instance; by the list's place in memory, so
+    /// that a million instances do not cost a million looks at a long list.
+    known: HashMap<*const [u32], (u32, u32)>,
+}
+
+impl MaterialLists {
+    fn add(&mut self, scene: &Scene, list: &Arc<[u32]>) -> Result<(u32, u32), String> {
+        if let Some(known) = self.known.get(&Arc::as_ptr(list)) {
+            return Ok(*known);
+        }
+        let mut flags = 0;
+        for &m in list.iter() {
+            let there_are = scene.materials.len();
+            let material = scene.materials.get(m as usize);
+            let material = material.ok_or_else(|| format!("names material {m} of {there_are}"))?;
+            if material.alpha_mode != AlphaMode::Opaque {
+                flags |= INSTANCE_ALPHA;
+            }
+        }
+        let base = index("instance materials", self.materials.len()).map_err(|e| e.to_string())?;
+        self.materials.extend_from_slice(list);
+        self.known.insert(Arc::as_ptr(list), (base, flags));
+        Ok((base, flags))
+    }
+}
+
 fn pack_instance(
     scene: &Scene,
     number: usize,
     instance: &Instance,
-    instance_materials: &mut Vec<u32>,
+    lists: &mut MaterialLists,
 ) -> Result<PackedInstance, PackError> {
     let invalid =
         |detail: String| PackError::InvalidScene(format!("instance {number} ({:?}): {detail}", instance.name));
@@ -125,20 +164,11 @@ fn pack_instance(
         .meshes
         .get(instance.mesh as usize)
         .ok_or_else(|| invalid(format!("names mesh {} of {}", instance.mesh, scene.meshes.len())))?;
-    let most = mesh.triangle_slots.iter().chain(mesh.spheres.iter().map(|s| &s.slot)).max();
-    if most.is_some_and(|&s| s as usize >= instance.materials.len()) {
-        return Err(invalid(format!("has materials for {} of the mesh's slots", instance.materials.len())));
+    if instance.materials.len() < mesh.slots as usize {
+        let (given, slots) = (instance.materials.len(), mesh.slots);
+        return Err(invalid(format!("has materials for {given} of the mesh's {slots} slots")));
     }
-    let mut flags = 0;
-    for &m in &instance.materials {
-        let material = scene
-            .materials
-            .get(m as usize)
-            .ok_or_else(|| invalid(format!("names material {m} of {}", scene.materials.len())))?;
-        if material.alpha_mode != AlphaMode::Opaque {
-            flags |= INSTANCE_ALPHA;
-        }
-    }
+    let (material_base, mut flags) = lists.add(scene, &instance.materials).map_err(invalid)?;
     let matrix = instance.transform.matrix3;
     if matrix.determinant() < 0.0 {
         flags |= INSTANCE_MIRRORED;
@@ -146,16 +176,14 @@ fn pack_instance(
     if is_similarity(&matrix) {
         flags |= INSTANCE_SIMILARITY;
     }
-    let packed = PackedInstance {
+    Ok(PackedInstance {
         object_to_world: rows(&instance.transform),
         world_to_object: rows(&inverse(&instance.transform)),
         mesh: instance.mesh,
-        material_base: index("instance materials", instance_materials.len())?,
+        material_base,
         emitter_base: NONE,
         flags,
-    };
-    instance_materials.extend_from_slice(&instance.materials);
-    Ok(packed)
+    })
 }
 
 /// The inverse, or zero for a transform that flattens the mesh (nothing hits such an instance).

@@ -53,7 +53,6 @@ const _: () = assert!(size_of::<PackedInstance>() == 112);
 
 pub const MATERIAL_ALPHA_MASK: u32 = 1;
 pub const MATERIAL_ALPHA_BLEND: u32 = 2;
-pub const MATERIAL_DOUBLE_SIDED: u32 = 4;
 pub const MATERIAL_UNLIT: u32 = 8;
 
 #[repr(C)]
@@ -64,18 +63,15 @@ pub struct PackedMaterial {
     pub metallic: f32,
     pub roughness: f32,
     pub normal_scale: f32,
-    pub occlusion_strength: f32,
     pub alpha_cutoff: f32,
     pub flags: u32,
     /// Indices into `PackedScene::textures`, or [`NONE`].
     pub base_color_texture: u32,
     pub metallic_roughness_texture: u32,
     pub normal_texture: u32,
-    pub occlusion_texture: u32,
     pub emissive_texture: u32,
-    pub _pad: [u32; 2],
 }
-const _: () = assert!(size_of::<PackedMaterial>() == 80);
+const _: () = assert!(size_of::<PackedMaterial>() == 64);
 
 /// Wrap modes in [`PackedTexture::flags`]: bits 0..1 for u, 2..3 for v.
 pub const WRAP_REPEAT: u32 = 0;

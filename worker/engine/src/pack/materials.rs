@@ -1,9 +1,10 @@
 //! Materials, the textures they use, and the texels behind them.
 
+use std::collections::HashMap;
+
 use super::{
-    MATERIAL_ALPHA_BLEND, MATERIAL_ALPHA_MASK, MATERIAL_DOUBLE_SIDED, MATERIAL_UNLIT, NONE, PackError, PackedMaterial,
-    PackedTexture, TEXTURE_NEAREST, TEXTURE_SRGB, TEXTURE_UV1, TEXTURE_WRAP_V_SHIFT, WRAP_CLAMP, WRAP_MIRRORED,
-    WRAP_REPEAT, index,
+    MATERIAL_ALPHA_BLEND, MATERIAL_ALPHA_MASK, MATERIAL_UNLIT, NONE, PackError, PackedMaterial, PackedTexture,
+    TEXTURE_NEAREST, TEXTURE_SRGB, TEXTURE_UV1, TEXTURE_WRAP_V_SHIFT, WRAP_CLAMP, WRAP_MIRRORED, WRAP_REPEAT, index,
 };
 use crate::scene::{AlphaMode, Filter, Image, Material, Scene, TextureRef, Wrap};
 
@@ -14,8 +15,13 @@ pub(super) struct Materials {
 }
 
 pub(super) fn pack_materials(scene: &Scene) -> Result<Materials, PackError> {
-    let mut packer =
-        Packer { scene, textures: Vec::new(), texels: Vec::new(), offsets: vec![None; scene.images.len()] };
+    let mut packer = Packer {
+        scene,
+        textures: Vec::new(),
+        known: HashMap::new(),
+        texels: Vec::new(),
+        offsets: vec![None; scene.images.len()],
+    };
     let materials = scene.materials.iter().map(|m| packer.material(m)).collect::<Result<_, _>>()?;
     Ok(Materials { materials, textures: packer.textures, texels: packer.texels })
 }
@@ -23,6 +29,8 @@ pub(super) fn pack_materials(scene: &Scene) -> Result<Materials, PackError> {
 struct Packer<'a> {
     scene: &'a Scene,
     textures: Vec<PackedTexture>,
+    /// Number of each texture by its bits.
+    known: HashMap<[u32; size_of::<PackedTexture>() / 4], u32>,
     texels: Vec<u32>,
     /// First texel of each image that some material uses.
     offsets: Vec<Option<u32>>,
@@ -35,9 +43,6 @@ impl Packer<'_> {
             AlphaMode::Mask => MATERIAL_ALPHA_MASK,
             AlphaMode::Blend => MATERIAL_ALPHA_BLEND,
         };
-        if m.double_sided {
-            flags |= MATERIAL_DOUBLE_SIDED;
-        }
         if m.unlit {
             flags |= MATERIAL_UNLIT;
         }
@@ -47,15 +52,12 @@ impl Packer<'_> {
             metallic: m.metallic,
             roughness: m.roughness,
             normal_scale: m.normal_scale,
-            occlusion_strength: m.occlusion_strength,
             alpha_cutoff: m.alpha_cutoff,
             flags,
             base_color_texture: self.texture(m, m.base_color_texture, TEXTURE_SRGB)?,
             metallic_roughness_texture: self.texture(m, m.metallic_roughness_texture, 0)?,
             normal_texture: self.texture(m, m.normal_texture, 0)?,
-            occlusion_texture: self.texture(m, m.occlusion_texture, 0)?,
             emissive_texture: self.texture(m, m.emissive_texture, TEXTURE_SRGB)?,
-            _pad: [0; 2],
         })
     }
 
@@ -93,11 +95,14 @@ impl Packer<'_> {
             _pad: [0; 2],
         };
         // Materials often share a texture: one entry per distinct use.
-        if let Some(known) = self.textures.iter().position(|t| *t == packed) {
-            return Ok(known as u32);
+        let key = bytemuck::cast(packed);
+        if let Some(known) = self.known.get(&key) {
+            return Ok(*known);
         }
+        let number = index("textures", self.textures.len())?;
         self.textures.push(packed);
-        index("textures", self.textures.len() - 1)
+        self.known.insert(key, number);
+        Ok(number)
     }
 
     fn image(&mut self, image: &Image) -> Result<u32, PackError> {

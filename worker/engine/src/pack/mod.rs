@@ -155,10 +155,12 @@ mod tests {
     #[test]
     fn contradictions_are_named() {
         assert_eq!(error(|_, s| s.width = 0), "width, height: is 0x32, must be at least 1x1 pixel");
-        let e = error(|s, _| s.instances[0].materials[0] = 7);
+        let e = error(|s, _| s.instances[0].materials = [7].into());
         assert_eq!(e, "instance 0 (\"\"): names material 7 of 1");
-        let e = error(|s, _| s.instances[0].materials.clear());
-        assert_eq!(e, "instance 0 (\"\"): has materials for 0 of the mesh's slots");
+        let e = error(|s, _| s.instances[0].materials = [].into());
+        assert_eq!(e, "instance 0 (\"\"): has materials for 0 of the mesh's 1 slots");
+        let e = error(|s, _| Arc::make_mut(&mut s.meshes[0]).triangle_slots[1] = 1);
+        assert_eq!(e, "mesh \"\": names slot 1 of 1");
         let e = error(|s, _| Arc::make_mut(&mut s.meshes[0]).triangles[1][2] = 4);
         assert_eq!(e, "mesh \"\": triangle 1 names a vertex beyond the 4 there are");
         let e = error(|s, _| Arc::make_mut(&mut s.meshes[0]).normals = vec![Vec3::Z]);

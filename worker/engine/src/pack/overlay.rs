@@ -1,5 +1,6 @@
 //! What a job adds to a scene's geometry, and how the top level sees the result.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
@@ -21,8 +22,13 @@ pub fn with_overlays(scene: &Scene, settings: &RenderSettings) -> Scene {
 /// One placement for each instance, in order.
 pub fn placements(scene: &Scene) -> Vec<Placement> {
     let has_alpha: Vec<bool> = scene.materials.iter().map(|m| m.alpha_mode != AlphaMode::Opaque).collect();
-    let is_filtered =
-        |instance: &Instance| instance.materials.iter().any(|&m| has_alpha.get(m as usize).copied().unwrap_or(false));
+    // By the place of the list in memory, since many instances share one.
+    let mut known: HashMap<*const [u32], bool> = HashMap::new();
+    let mut is_filtered = |instance: &Instance| {
+        *known
+            .entry(Arc::as_ptr(&instance.materials))
+            .or_insert_with(|| instance.materials.iter().any(|&m| has_alpha.get(m as usize).copied().unwrap_or(false)))
+    };
     scene
         .instances
         .iter()
@@ -55,7 +61,6 @@ fn add_ground(scene: &mut Scene, ground: &Ground) {
         base_color: [r, g, b, 1.0],
         metallic: 0.0,
         roughness: ground.roughness,
-        double_sided: true,
         ..Material::default()
     };
     scene.materials.push(material);
@@ -66,7 +71,7 @@ fn add_ground(scene: &mut Scene, ground: &Ground) {
             matrix3: Mat3A::from_diagonal(Vec3::new(half_size, 1.0, half_size)),
             translation: Vec3A::new(center.x, height, center.z),
         },
-        materials: vec![(scene.materials.len() - 1) as u32],
+        materials: Arc::new([(scene.materials.len() - 1) as u32]),
     });
 }
 

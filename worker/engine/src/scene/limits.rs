@@ -1,5 +1,7 @@
 //! What one scene may cost. Every limit is checked before the memory that it bounds is allocated.
 
+use std::fmt::Display;
+
 use serde::{Deserialize, Serialize};
 
 use super::error::{ImportError, ImportErrorKind};
@@ -10,12 +12,19 @@ use super::error::{ImportError, ImportErrorKind};
 pub struct Limits {
     /// Bytes read from the scene's files, counted after decompression.
     pub input_bytes: u64,
-    /// Bytes of decoded geometry.
+    /// Bytes of decoded geometry, over all meshes in each of their poses.
     pub geometry_bytes: u64,
-    /// Triangles and spheres over all unique meshes.
+    /// Triangles and spheres, over all meshes in each of their poses.
     pub triangles: u64,
     pub instances: u64,
     pub nodes: u64,
+    pub materials: u64,
+    /// Textures in the file, whether used or not.
+    pub textures: u64,
+    /// Nodes with a camera.
+    pub cameras: u64,
+    /// Nodes with a punctual light.
+    pub lights: u64,
     /// Pixels over all images.
     pub texture_pixels: u64,
     /// Pixels along either side of an image.
@@ -34,6 +43,10 @@ impl Default for Limits {
             triangles: 50_000_000,
             instances: 1_000_000,
             nodes: 2_000_000,
+            materials: 100_000,
+            textures: 100_000,
+            cameras: 10_000,
+            lights: 100_000,
             texture_pixels: 512 << 20,
             image_side: 32_768,
             files: 10_000,
@@ -50,6 +63,10 @@ impl Limits {
         triangles: u64::MAX,
         instances: u64::MAX,
         nodes: u64::MAX,
+        materials: u64::MAX,
+        textures: u64::MAX,
+        cameras: u64::MAX,
+        lights: u64::MAX,
         texture_pixels: u64::MAX,
         image_side: u32::MAX,
         files: u64::MAX,
@@ -57,13 +74,13 @@ impl Limits {
     };
 
     /// An error at `position` unless `found <= limit`; `what` names the limited thing in the plural.
-    pub(super) fn check(position: &str, what: &str, found: u64, limit: u64) -> Result<(), ImportError> {
+    pub(super) fn check(position: impl Display, what: &str, found: u64, limit: u64) -> Result<(), ImportError> {
         if found <= limit {
             return Ok(());
         }
         Err(ImportError::new(
             ImportErrorKind::Limit,
-            position,
+            position.to_string(),
             format!("{found} {what} are more than the limit of {limit}"),
         ))
     }

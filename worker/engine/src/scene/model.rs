@@ -115,12 +115,13 @@ pub struct Sphere {
 
 #[derive(Clone, Debug)]
 pub struct Instance {
-    pub name: String,
+    /// Shared, as the materials are, by the instances that one node makes: there may be millions.
+    pub name: Arc<str>,
     /// Index into [`Scene::meshes`].
     pub mesh: u32,
     pub transform: Affine3A,
     /// Index into [`Scene::materials`] for each of the mesh's slots.
-    pub materials: Vec<u32>,
+    pub materials: Arc<[u32]>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -142,14 +143,11 @@ pub struct Material {
     pub metallic_roughness_texture: Option<TextureRef>,
     pub normal_texture: Option<TextureRef>,
     pub normal_scale: f32,
-    pub occlusion_texture: Option<TextureRef>,
-    pub occlusion_strength: f32,
     /// Linear emitted radiance, KHR_materials_emissive_strength multiplied in.
     pub emissive: Vec3,
     pub emissive_texture: Option<TextureRef>,
     pub alpha_mode: AlphaMode,
     pub alpha_cutoff: f32,
-    pub double_sided: bool,
     pub unlit: bool,
 }
 
@@ -164,13 +162,10 @@ impl Default for Material {
             metallic_roughness_texture: None,
             normal_texture: None,
             normal_scale: 1.0,
-            occlusion_texture: None,
-            occlusion_strength: 1.0,
             emissive: Vec3::ZERO,
             emissive_texture: None,
             alpha_mode: AlphaMode::Opaque,
             alpha_cutoff: 0.5,
-            double_sided: false,
             unlit: false,
         }
     }
@@ -262,6 +257,10 @@ pub struct Camera {
     /// Unit, orthogonal to `forward`.
     pub up: Vec3,
     pub projection: Projection,
+    /// Width over height of the frame that the camera was made for (glTF `aspectRatio`, or `xmag` over `ymag`). A picture
+    /// that is narrower keeps that frame's width and shows more above and below; without a frame, and in a wider picture,
+    /// the height of the view stays.
+    pub frame_aspect: Option<f32>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,5 +1,8 @@
 //! What a scene holds, in numbers: for listings, for budgets, and for people who wonder what they uploaded.
 
+use std::collections::HashMap;
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use super::model::{Aabb, Instance, MeshHash, Projection, PunctualKind, Scene};
@@ -139,7 +142,7 @@ impl Scene {
     }
 
     fn emitter_count(&self) -> u64 {
-        // Counted once per mesh and slot, since thousands of instances may share one.
+        // Counted once per mesh and list of materials, since a million instances may share them.
         let per_slot: Vec<Vec<u64>> = self
             .meshes
             .iter()
@@ -151,11 +154,16 @@ impl Scene {
                 counts
             })
             .collect();
+        let mut known: HashMap<(u32, *const [u32]), u64> = HashMap::new();
+        let emits = |material: &u32| self.materials[*material as usize].emissive.max_element() > 0.0;
         self.instances
             .iter()
-            .flat_map(|instance| per_slot[instance.mesh as usize].iter().zip(&instance.materials))
-            .filter(|(_, material)| self.materials[**material as usize].emissive.max_element() > 0.0)
-            .map(|(count, _)| count)
+            .map(|instance| {
+                *known.entry((instance.mesh, Arc::as_ptr(&instance.materials))).or_insert_with(|| {
+                    let slots = per_slot[instance.mesh as usize].iter().zip(instance.materials.iter());
+                    slots.filter(|(_, material)| emits(material)).map(|(count, _)| count).sum()
+                })
+            })
             .sum()
     }
 

@@ -52,6 +52,7 @@ fn frame(bounds: Aabb, aspect: f32) -> Camera {
         forward,
         up,
         projection: Projection::Perspective { fov_y_rad: FOV_Y_RAD },
+        frame_aspect: None,
     }
 }
 

@@ -90,10 +90,10 @@ pub(crate) fn everything() -> Scene {
     let (turn_x, turn_y) = (Quat::from_rotation_x, Quat::from_rotation_y);
     let quarter = std::f32::consts::FRAC_PI_2;
     let instance = |mesh: u32, transform, materials: &[u32]| Instance {
-        name: String::new(),
+        name: "".into(),
         mesh,
         transform,
-        materials: materials.to_vec(),
+        materials: materials.into(),
     };
     let instances = vec![
         instance(0, at(Vec3::splat(2.0), turn_x(-quarter), 0.0, -1.0, 0.0), &[1]),
@@ -174,6 +174,7 @@ pub(crate) fn settings(integrator: Integrator) -> RenderSettings {
             forward: Vec3::new(-0.05, -0.06, -1.0).normalize(),
             up: Vec3::Y,
             projection: Projection::Perspective { fov_y_rad: 0.9 },
+            frame_aspect: None,
         },
         environment: Environment::Constant(Vec3::new(0.3, 0.35, 0.4)),
         extra_lights: vec![],

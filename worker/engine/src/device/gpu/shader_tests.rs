@@ -130,13 +130,11 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         metallic,
         roughness,
         normal_scale,
-        occlusion_strength,
         alpha_cutoff,
         flags,
         base_color_texture,
         metallic_roughness_texture,
         normal_texture,
-        occlusion_texture,
         emissive_texture
     );
     assert_layout!(&shade, "PackedTexture", PackedTexture, transform, texel_offset, width, height, flags);

@@ -72,7 +72,7 @@ pub(crate) fn scene(objects: Vec<(Mesh, Material, Affine3A)>) -> Scene {
         let number = number as u32;
         scene.meshes.push(Arc::new(mesh));
         scene.materials.push(material);
-        scene.instances.push(Instance { name: String::new(), mesh: number, transform, materials: vec![number] });
+        scene.instances.push(Instance { name: "".into(), mesh: number, transform, materials: [number].into() });
     }
     scene
 }
@@ -86,6 +86,7 @@ pub(crate) fn camera(target: Vec3, from: Vec3, distance: f32, half_height: f32) 
         forward: -from,
         up,
         projection: Projection::Orthographic { half_height },
+        frame_aspect: None,
     }
 }
 

@@ -303,7 +303,7 @@ pub(super) fn check_unbacked(document: &Document, limits: &Limits) -> Result<()>
     for (index, accessor) in document.accessors.iter().enumerate() {
         if accessor.buffer_view.is_none() {
             let bytes = accessor.count.saturating_mul(64);
-            Limits::check(&format!("accessors/{index}/count"), "bytes of geometry", bytes, limits.geometry_bytes)?;
+            Limits::check(format_args!("accessors/{index}/count"), "bytes of geometry", bytes, limits.geometry_bytes)?;
         }
     }
     Ok(())

@@ -6,14 +6,14 @@
 use std::fmt::Display;
 
 use super::accessor::{ComponentType, Shape};
-use super::document::{Accessor, Document, TextureInfo};
+use super::document::{Accessor, Document, Node, TextureInfo};
 use crate::scene::error::{ImportError, Result};
 use crate::scene::limits::Limits;
 
 /// # Errors
-/// Malformed, at the field that is wrong; Limit for too many nodes.
+/// Malformed, at the field that is wrong; Limit for too many nodes, materials, textures, cameras or lights.
 pub(super) fn check(document: &Document, limits: &Limits) -> Result<()> {
-    Limits::check("nodes", "nodes", document.nodes.len() as u64, limits.nodes)?;
+    check_counts(document, limits)?;
     check_buffers(document)?;
     for (index, accessor) in document.accessors.iter().enumerate() {
         check_accessor(document, accessor, &format!("accessors/{index}"))?;
@@ -22,6 +22,17 @@ pub(super) fn check(document: &Document, limits: &Limits) -> Result<()> {
     check_meshes(document)?;
     check_nodes(document)?;
     check_forest(document)
+}
+
+fn check_counts(document: &Document, limits: &Limits) -> Result<()> {
+    let nodes_with = |has: fn(&Node) -> bool| document.nodes.iter().filter(|node| has(node)).count();
+    Limits::check("nodes", "nodes", document.nodes.len() as u64, limits.nodes)?;
+    Limits::check("materials", "materials", document.materials.len() as u64, limits.materials)?;
+    Limits::check("textures", "textures", document.textures.len() as u64, limits.textures)?;
+    let cameras = nodes_with(|node| node.camera.is_some());
+    Limits::check("nodes", "nodes with a camera", cameras as u64, limits.cameras)?;
+    let lights = nodes_with(|node| node.extensions.light.is_some());
+    Limits::check("nodes", "nodes with a light", lights as u64, limits.lights)
 }
 
 /// An error unless `index` is one of `count` things called `target`.

@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use serde::Deserialize;
 use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer};
 
 use super::specular_glossiness::{self, SpecularGlossiness};
 use crate::scene::error::{ImportError, Result};
@@ -61,7 +61,7 @@ pub(super) struct Lights {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Light {
-    #[serde(default)]
+    #[serde(default, deserialize_with = "name")]
     pub(super) name: String,
     #[serde(rename = "type")]
     pub(super) kind: String,
@@ -90,6 +90,7 @@ impl Default for Spot {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Scene {
+    #[serde(deserialize_with = "name")]
     pub(super) name: String,
     pub(super) nodes: Vec<usize>,
 }
@@ -97,6 +98,7 @@ pub(super) struct Scene {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Node {
+    #[serde(deserialize_with = "name")]
     pub(super) name: String,
     pub(super) children: Vec<usize>,
     pub(super) mesh: Option<usize>,
@@ -134,6 +136,7 @@ pub(super) struct Instancing {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Mesh {
+    #[serde(deserialize_with = "name")]
     pub(super) name: String,
     pub(super) primitives: Vec<Primitive>,
     pub(super) weights: Option<Vec<f32>>,
@@ -226,6 +229,7 @@ pub(super) struct Buffer {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub(super) struct Material {
+    #[serde(deserialize_with = "name")]
     pub(super) name: String,
     pub(super) pbr_metallic_roughness: MetallicRoughness,
     pub(super) normal_texture: Option<TextureInfo>,
@@ -234,7 +238,6 @@ pub(super) struct Material {
     pub(super) emissive_factor: [f32; 3],
     pub(super) alpha_mode: Option<String>,
     pub(super) alpha_cutoff: Option<f32>,
-    pub(super) double_sided: bool,
     pub(super) extensions: MaterialExtensions,
 }
 
@@ -278,7 +281,7 @@ pub(super) struct EmissiveStrength {
     pub(super) emissive_strength: f32,
 }
 
-/// `textureInfo`, `normalTextureInfo` (`scale`) and `occlusionTextureInfo` (`strength`) in one.
+/// `textureInfo` and `normalTextureInfo` (`scale`) in one.
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct TextureInfo {
@@ -286,7 +289,6 @@ pub(super) struct TextureInfo {
     #[serde(default)]
     pub(super) tex_coord: u32,
     pub(super) scale: Option<f32>,
-    pub(super) strength: Option<f32>,
     #[serde(default)]
     pub(super) extensions: TextureInfoExtensions,
 }
@@ -331,6 +333,7 @@ pub(super) struct Sampler {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub(super) struct Image {
+    #[serde(deserialize_with = "name")]
     pub(super) name: String,
     pub(super) uri: Option<String>,
     pub(super) mime_type: Option<String>,
@@ -340,6 +343,7 @@ pub(super) struct Image {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Camera {
+    #[serde(deserialize_with = "name")]
     pub(super) name: String,
     #[serde(rename = "type")]
     pub(super) kind: String,
@@ -348,12 +352,16 @@ pub(super) struct Camera {
 }
 
 #[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
 pub(super) struct Perspective {
     pub(super) yfov: f32,
+    pub(super) aspect_ratio: Option<f32>,
 }
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Orthographic {
+    /// Required by glTF; without it the picture alone says how wide the view is.
+    pub(super) xmag: Option<f32>,
     pub(super) ymag: f32,
 }
 
@@ -362,6 +370,19 @@ pub(super) struct Orthographic {
 pub(super) struct Skin {
     pub(super) inverse_bind_matrices: Option<usize>,
     pub(super) joints: Vec<usize>,
+}
+
+/// Longer names are cut to this many bytes: they are for people, and each camera and light carries one.
+const NAME_BYTES: usize = 256;
+
+fn name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let mut name = String::deserialize(deserializer)?;
+    if name.len() > NAME_BYTES {
+        let end = (0..=NAME_BYTES).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+        name.truncate(end);
+        name.shrink_to_fit();
+    }
+    Ok(name)
 }
 
 fn one() -> f32 {

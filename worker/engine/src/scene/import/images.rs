@@ -102,11 +102,10 @@ fn used_images(document: &Document) -> Vec<usize> {
         .iter()
         .flat_map(|material| {
             let pbr = &material.pbr_metallic_roughness;
-            let infos: [&Option<TextureInfo>; 5] = [
+            let infos: [&Option<TextureInfo>; 4] = [
                 &pbr.base_color_texture,
                 &pbr.metallic_roughness_texture,
                 &material.normal_texture,
-                &material.occlusion_texture,
                 &material.emissive_texture,
             ];
             infos.into_iter().flatten().filter_map(|info| document.textures[info.index].source)

@@ -17,6 +17,14 @@ pub(super) fn convert(
     images: &Images,
     warnings: &mut Warnings,
 ) -> Result<(Vec<Material>, Vec<Texture>)> {
+    let occluded = document.materials.iter().filter(|material| material.occlusion_texture.is_some()).count();
+    if occluded > 0 {
+        // What it holds is how much of the surroundings a point sees: here rays find that out.
+        warnings.add(
+            "materials",
+            format!("{occluded} have an occlusion texture, which light transport makes superfluous; ignored"),
+        );
+    }
     let mut converter = Converter { document, images, warnings, textures: Vec::new(), by_index: HashMap::new() };
     let materials: Result<Vec<Material>> =
         document.materials.iter().enumerate().map(|(index, source)| converter.material(index, source)).collect();
@@ -38,7 +46,6 @@ impl Converter<'_> {
         let pbr = &source.pbr_metallic_roughness;
         let strength = source.extensions.emissive_strength.as_ref().map_or(1.0, |strength| strength.emissive_strength);
         let normal = source.normal_texture.as_ref();
-        let occlusion = source.occlusion_texture.as_ref();
         let material = Material {
             name: if source.name.is_empty() { format!("material {index}") } else { source.name.clone() },
             base_color: pbr.base_color_factor.map(|factor| factor.max(0.0)),
@@ -52,8 +59,6 @@ impl Converter<'_> {
             )?,
             normal_texture: self.texture(&source.normal_texture, &at, "normalTexture")?,
             normal_scale: normal.and_then(|info| info.scale).unwrap_or(1.0),
-            occlusion_texture: self.texture(&source.occlusion_texture, &at, "occlusionTexture")?,
-            occlusion_strength: occlusion.and_then(|info| info.strength).unwrap_or(1.0).clamp(0.0, 1.0),
             emissive: Vec3::from(source.emissive_factor).max(Vec3::ZERO) * strength.max(0.0),
             emissive_texture: self.texture(&source.emissive_texture, &at, "emissiveTexture")?,
             alpha_mode: match source.alpha_mode.as_deref() {
@@ -67,7 +72,6 @@ impl Converter<'_> {
                 }
             },
             alpha_cutoff: source.alpha_cutoff.unwrap_or(0.5),
-            double_sided: source.double_sided,
             unlit: source.extensions.unlit.is_some(),
         };
         check_finite(&material, &at)?;

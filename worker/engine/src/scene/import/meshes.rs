@@ -1,7 +1,6 @@
-//! glTF meshes to unique [`Mesh`]es: decoded in parallel, their primitives merged, equal ones found by hash.
+//! Shapes (glTF meshes in their poses) to unique [`Mesh`]es: decoded in parallel, their primitives merged, equal ones found by hash.
 
-use std::collections::HashMap;
-use std::ops::Range;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -9,6 +8,7 @@ use rayon::prelude::*;
 use super::Session;
 use super::accessor::Accessors;
 use super::document::{self, Document};
+use super::placement::Shape;
 use super::primitive::{Context, Part};
 use super::topology::Topology;
 use crate::scene::error::{ImportError, Result};
@@ -21,38 +21,27 @@ const VERTEX_BYTES: u64 = 12 + 12 + 16 + 8 + 8 + 16;
 /// Three indices and a slot.
 const TRIANGLE_BYTES: u64 = 16;
 
-/// What a glTF mesh became.
+/// What any decoded primitive costs, even an empty one.
+const PRIMITIVE_BYTES: u64 = 512;
+
+/// What a shape became.
 #[derive(Clone, Debug)]
 pub(super) struct Placed {
     /// Index into the unique meshes.
     pub(super) mesh: u32,
-    /// glTF material of each slot; `None` is the default material.
-    pub(super) materials: Vec<Option<usize>>,
-    /// Where the vertices of each slot come from.
-    pub(super) sources: Vec<VertexSource>,
-}
-
-/// Where the vertices of one part of a mesh come from.
-#[derive(Clone, Debug)]
-pub(super) struct VertexSource {
-    /// Index into the glTF mesh's primitives.
-    pub(super) primitive: usize,
-    /// The part's vertices in the merged mesh.
-    pub(super) vertices: Range<usize>,
-    /// Number of each vertex in the primitive's accessors; `None` when the numbers are the same.
-    pub(super) origin: Option<Vec<u32>>,
+    /// Material of each slot.
+    pub(super) materials: Arc<[u32]>,
 }
 
 /// A decoded mesh before it is known whether another one equals it.
 struct Decoded {
     mesh: Mesh,
+    /// glTF material of each slot; `None` is the default material.
     materials: Vec<Option<usize>>,
-    sources: Vec<VertexSource>,
 }
 
-/// A decoded primitive with its place in its mesh.
+/// A decoded primitive with its glTF material.
 struct Piece {
-    primitive: usize,
     material: Option<usize>,
     part: Part,
 }
@@ -73,99 +62,141 @@ impl Unique {
     }
 }
 
-/// Decodes the meshes for which `used` says so; `None` for the others and for meshes with nothing in them.
+/// Decodes the shapes; `None` for those with nothing in them. Adds glTF's default material where one is needed.
+///
+/// # Errors
+/// Limit: over all shapes, more triangles or bytes than allowed. Malformed: as [`Part::decode`].
 pub(super) fn load(
     document: &Document,
     accessors: &Accessors<'_>,
-    materials: &[Material],
-    used: &[bool],
+    materials: &mut Vec<Material>,
+    shapes: &[Shape<'_>],
     unique: &mut Unique,
     session: &mut Session<'_>,
 ) -> Result<Vec<Option<Placed>>> {
-    check_budget(document, used, session.limits)?;
-    let jobs: Vec<(usize, usize)> = (0..document.meshes.len())
-        .filter(|mesh| used[*mesh])
-        .flat_map(|mesh| (0..document.meshes[mesh].primitives.len()).map(move |primitive| (mesh, primitive)))
+    check_budget(document, shapes, session.limits)?;
+    let primitives = |shape: &Shape<'_>| document.meshes[shape.mesh].primitives.len();
+    let jobs: Vec<(usize, usize)> = shapes
+        .iter()
+        .enumerate()
+        .flat_map(|(shape, of)| (0..primitives(of)).map(move |primitive| (shape, primitive)))
         .collect();
     let cancel = session.cancel;
     let parts: Result<Vec<Part>> = jobs
         .par_iter()
-        .map(|(mesh, index)| {
+        .map(|(shape, index)| {
             if cancel() {
                 return Err(ImportError::cancelled());
             }
+            let Shape { mesh, pose } = &shapes[*shape];
             let primitive = &document.meshes[*mesh].primitives[*index];
-            let normal_map = primitive.material.and_then(|material| materials[material].normal_texture);
             let context = Context {
                 accessors,
                 at: format!("meshes/{mesh}/primitives/{index}"),
-                normal_map_uv: normal_map.map(|texture| texture.uv_set),
+                normal_map: primitive.material.and_then(|material| materials[material].normal_texture),
+                pose,
             };
             Part::decode(primitive, &context)
         })
         .collect();
 
-    let mut groups: Vec<(usize, Vec<Piece>)> = Vec::new();
-    for ((mesh, primitive), mut part) in jobs.into_iter().zip(parts?) {
-        session.warnings.append(std::mem::take(&mut part.warnings));
-        let piece = Piece { primitive, material: document.meshes[mesh].primitives[primitive].material, part };
-        match groups.last_mut() {
-            Some((last, group)) if *last == mesh => group.push(piece),
-            _ => groups.push((mesh, vec![piece])),
-        }
-    }
-    let decoded: Result<Vec<(usize, Option<Decoded>)>> = groups
+    let mut parts = parts?.into_iter();
+    let groups: Vec<(usize, Vec<Piece>)> = shapes
+        .iter()
+        .map(|shape| {
+            let pieces = parts.by_ref().take(primitives(shape)).zip(&document.meshes[shape.mesh].primitives);
+            let pieces = pieces.map(|(mut part, primitive)| {
+                session.warnings.append(std::mem::take(&mut part.warnings));
+                Piece { material: primitive.material, part }
+            });
+            (shape.mesh, pieces.collect())
+        })
+        .collect();
+    let decoded: Result<Vec<Option<Decoded>>> = groups
         .into_par_iter()
-        .map(|(index, pieces)| {
+        .map(|(mesh, pieces)| {
             if cancel() {
                 return Err(ImportError::cancelled());
             }
-            Ok((index, merge(name(document, index), pieces)))
+            Ok(merge(name(document, mesh), pieces))
         })
         .collect();
 
-    let mut placed: Vec<Option<Placed>> = vec![None; document.meshes.len()];
-    for (index, decoded) in decoded? {
-        placed[index] =
-            decoded.map(|Decoded { mesh, materials, sources }| Placed { mesh: unique.add(mesh), materials, sources });
-    }
-    for (index, is_used) in used.iter().enumerate() {
-        if *is_used && placed[index].is_none() {
-            session.warnings.add(&format!("meshes/{index}"), "has no triangles or spheres; skipped");
+    let mut slots = Slots { default_material: None, materials, known: HashSet::new() };
+    let mut placed = Vec::with_capacity(shapes.len());
+    for (decoded, shape) in decoded?.into_iter().zip(shapes) {
+        if decoded.is_none() {
+            session.warnings.add(&format!("meshes/{}", shape.mesh), "has no triangles or spheres; skipped");
         }
+        placed.push(
+            decoded
+                .map(|decoded| Placed { mesh: unique.add(decoded.mesh), materials: slots.share(&decoded.materials) }),
+        );
     }
     Ok(placed)
 }
 
-pub(super) fn name(document: &Document, index: usize) -> String {
+/// Lists of materials for slots, each list once: as many instances as a scene has may share one.
+struct Slots<'a> {
+    materials: &'a mut Vec<Material>,
+    default_material: Option<u32>,
+    known: HashSet<Arc<[u32]>>,
+}
+
+impl Slots<'_> {
+    fn share(&mut self, of_slots: &[Option<usize>]) -> Arc<[u32]> {
+        let numbers: Vec<u32> = of_slots
+            .iter()
+            .map(|material| match material {
+                Some(material) => *material as u32,
+                None => *self.default_material.get_or_insert_with(|| {
+                    self.materials.push(Material { name: "default".into(), ..Material::default() });
+                    self.materials.len() as u32 - 1
+                }),
+            })
+            .collect();
+        if let Some(known) = self.known.get(numbers.as_slice()) {
+            return known.clone();
+        }
+        let shared: Arc<[u32]> = numbers.into();
+        self.known.insert(shared.clone());
+        shared
+    }
+}
+
+fn name(document: &Document, index: usize) -> String {
     match document.meshes[index].name.as_str() {
         "" => format!("mesh {index}"),
         name => name.to_owned(),
     }
 }
 
-/// Adds up what the primitives will need, before any of it is allocated.
-fn check_budget(document: &Document, used: &[bool], limits: &Limits) -> Result<()> {
+/// Adds up what the primitives of all shapes will need, before any of it is allocated.
+fn check_budget(document: &Document, shapes: &[Shape<'_>], limits: &Limits) -> Result<()> {
     let (mut triangles, mut bytes) = (0_u64, 0_u64);
-    for (mesh_index, mesh) in document.meshes.iter().enumerate().filter(|(index, _)| used[*index]) {
+    for shape in shapes {
+        let mesh_index = shape.mesh;
+        let mesh = &document.meshes[mesh_index];
         let has_normals = mesh.primitives.iter().any(|primitive| primitive.attributes.contains_key("NORMAL"));
         let mut mesh_vertices = 0_u64;
         for (index, primitive) in mesh.primitives.iter().enumerate() {
             let vertices =
                 primitive.attributes.get("POSITION").map_or(0, |accessor| document.accessors[*accessor].count);
             let indices = primitive.indices.map_or(vertices, |accessor| document.accessors[accessor].count);
-            let at = format!("meshes/{mesh_index}/primitives/{index}");
             let topology = Topology::from_mode(primitive.mode);
             let primitives = if topology == Topology::Points { indices } else { topology.triangle_count(indices) };
             triangles = triangles.saturating_add(primitives);
-            let vertices = vertices_after(document, primitive, has_normals, vertices, primitives);
+            let flattened = shape.pose.flattened.is_some();
+            let vertices = vertices_after(document, primitive, has_normals, flattened, vertices, primitives);
             // Vertex numbers are 32 bits wide, with one value to spare for "none".
             mesh_vertices = mesh_vertices.saturating_add(vertices);
-            Limits::check(&at, "vertices in one mesh", mesh_vertices, u64::from(u32::MAX - 1))?;
             let vertex_bytes = vertices.saturating_mul(VERTEX_BYTES);
-            bytes = bytes.saturating_add(vertex_bytes).saturating_add(primitives.saturating_mul(TRIANGLE_BYTES));
-            Limits::check(&at, "triangles and spheres", triangles, limits.triangles)?;
-            Limits::check(&at, "bytes of geometry", bytes, limits.geometry_bytes)?;
+            let triangle_bytes = primitives.saturating_mul(TRIANGLE_BYTES);
+            bytes = bytes.saturating_add(vertex_bytes).saturating_add(triangle_bytes).saturating_add(PRIMITIVE_BYTES);
+            let at = format_args!("meshes/{mesh_index}/primitives/{index}");
+            Limits::check(at, "vertices in one mesh", mesh_vertices, u64::from(u32::MAX - 1))?;
+            Limits::check(at, "triangles and spheres", triangles, limits.triangles)?;
+            Limits::check(at, "bytes of geometry", bytes, limits.geometry_bytes)?;
         }
     }
     Ok(())
@@ -176,12 +207,15 @@ fn vertices_after(
     document: &Document,
     primitive: &document::Primitive,
     mesh_has_normals: bool,
+    flattened: bool,
     vertices: u64,
     triangles: u64,
 ) -> u64 {
     let normal_map = primitive.material.is_some_and(|material| document.materials[material].normal_texture.is_some());
-    let needs_tangents = normal_map && !primitive.attributes.contains_key("TANGENT");
-    let needs_normals = mesh_has_normals && !primitive.attributes.contains_key("NORMAL");
+    let has = |name: &str| primitive.attributes.contains_key(name) && !flattened;
+    // Tangents count only beside normals.
+    let needs_tangents = normal_map && !(has("TANGENT") && has("NORMAL"));
+    let needs_normals = mesh_has_normals && !has("NORMAL");
     if needs_tangents || needs_normals { vertices.max(triangles.saturating_mul(3)) } else { vertices }
 }
 
@@ -214,22 +248,13 @@ fn merge(name: String, mut pieces: Vec<Piece>) -> Option<Decoded> {
         bounds: Aabb::EMPTY,
     };
     let mut materials = Vec::new();
-    let mut sources = Vec::new();
-    for (slot, Piece { primitive, material, mut part }) in pieces.into_iter().enumerate() {
-        let start = mesh.positions.len();
-        let vertices = start..start + part.positions.len();
-        sources.push(VertexSource { primitive, vertices, origin: part.origin.take() });
+    for (slot, Piece { material, part }) in pieces.into_iter().enumerate() {
         materials.push(material);
         append(&mut mesh, part, slot as u32);
     }
-    finish(&mut mesh);
-    Some(Decoded { mesh, materials, sources })
-}
-
-/// Bounds and hash of a mesh whose arrays are complete.
-pub(super) fn finish(mesh: &mut Mesh) {
-    mesh.bounds = bounds(mesh);
-    mesh.hash = hash::mesh_hash(mesh);
+    mesh.bounds = bounds(&mesh);
+    mesh.hash = hash::mesh_hash(&mesh);
+    Some(Decoded { mesh, materials })
 }
 
 fn append(mesh: &mut Mesh, part: Part, slot: u32) {

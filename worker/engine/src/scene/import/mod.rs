@@ -12,6 +12,7 @@ mod images;
 mod materials;
 mod meshes;
 mod nodes;
+mod placement;
 mod pose;
 mod primitive;
 mod specular_glossiness;
@@ -33,6 +34,7 @@ use accessor::Accessors;
 use document::{Container, Document, SUPPORTED_EXTENSIONS};
 use meshes::Unique;
 use nodes::Graph;
+use placement::Plan;
 use warnings::Warnings;
 
 use super::error::{ImportError, ImportErrorKind, Result};
@@ -75,11 +77,10 @@ pub fn import(source: &Source, limits: &Limits, cancel: &(dyn Fn() -> bool + Syn
     let (mut materials, textures) = materials::convert(&document, &images, &mut session.warnings)?;
 
     let graph = Graph::walk(&document, &mut session)?;
-    let used = graph.used_meshes(&document);
+    let plan = Plan::new(&document, &graph, &accessors, &mut session)?;
     let mut unique = Unique::default();
-    let placed = meshes::load(&document, &accessors, &materials, &used, &mut unique, &mut session)?;
-    let instances =
-        nodes::instances(&document, &graph, &accessors, &placed, &mut unique, &mut materials, &mut session)?;
+    let placed = meshes::load(&document, &accessors, &mut materials, &plan.shapes, &mut unique, &mut session)?;
+    let instances = plan.instances(&document, &placed, &unique, &mut session);
     let cameras = nodes::cameras(&document, &graph, &mut session);
     let lights = nodes::lights(&document, &graph, &mut session);
     let mut scene = Scene {
@@ -159,7 +160,7 @@ fn scene_name(document: &Document, source: &Source) -> String {
     }
 }
 
-/// A posed mesh may have left its original without an instance.
+/// All instances of a mesh may have been skipped.
 fn drop_unplaced_meshes(scene: &mut Scene) {
     let mut used = vec![false; scene.meshes.len()];
     for instance in &scene.instances {

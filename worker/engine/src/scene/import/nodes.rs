@@ -1,16 +1,15 @@
-//! Nodes to instances, cameras and lights in world space.
+//! The node graph, and its cameras and lights in world space.
+
+use std::collections::{HashMap, HashSet};
 
 use glam::{DAffine3, DVec3, Vec3};
 
 use super::Session;
-use super::accessor::Accessors;
 use super::document::{self, Document};
-use super::meshes::{Placed, Unique};
-use super::pose;
 use super::transform;
 use crate::scene::error::Result;
-use crate::scene::limits::Limits;
-use crate::scene::model::{Camera, Instance, Material, Projection, PunctualKind, PunctualLight};
+use crate::scene::model::{Camera, Projection, PunctualKind, PunctualLight};
+use crate::scene::source::uri::quoted;
 
 /// The nodes of the shown scene with their world transforms, parents first.
 pub(super) struct Graph {
@@ -44,14 +43,6 @@ impl Graph {
         }
         Ok(graph)
     }
-
-    pub(super) fn used_meshes(&self, document: &Document) -> Vec<bool> {
-        let mut used = vec![false; document.meshes.len()];
-        for mesh in self.visited.iter().filter_map(|node| document.nodes[*node].mesh) {
-            used[mesh] = true;
-        }
-        used
-    }
 }
 
 fn roots(document: &Document) -> Vec<usize> {
@@ -62,78 +53,10 @@ fn roots(document: &Document) -> Vec<usize> {
     (0..document.nodes.len()).filter(|node| !is_child[*node]).collect()
 }
 
-/// Places every mesh of the graph.
-pub(super) fn instances(
-    document: &Document,
-    graph: &Graph,
-    accessors: &Accessors<'_>,
-    placed: &[Option<Placed>],
-    unique: &mut Unique,
-    materials: &mut Vec<Material>,
-    session: &mut Session<'_>,
-) -> Result<Vec<Instance>> {
-    let mut instances = Vec::new();
-    let mut default_material = None;
-    for &index in &graph.visited {
-        session.check_cancelled()?;
-        let node = &document.nodes[index];
-        let (Some(mesh_index), Some(world)) = (node.mesh, graph.world[index]) else { continue };
-        let Some(place) = &placed[mesh_index] else { continue };
-        let at = format!("nodes/{index}");
-        let posed = pose::posed_mesh(document, graph, accessors, index, place, unique, session)?;
-        let (mesh, base) = match posed {
-            None => (place.mesh, world),
-            Some(pose::Posed { mesh, in_world: true }) => (mesh, DAffine3::IDENTITY),
-            Some(pose::Posed { mesh, in_world: false }) => (mesh, world),
-        };
-        let transforms = match &node.extensions.instancing {
-            None => vec![base],
-            Some(extension) => transform::instancing(extension, document, accessors, index, session.limits)?
-                .into_iter()
-                .map(|local| base * local)
-                .collect(),
-        };
-        Limits::check(&at, "instances", (instances.len() + transforms.len()) as u64, session.limits.instances)?;
-        let slots: Vec<u32> = place
-            .materials
-            .iter()
-            .map(|material| match material {
-                Some(material) => *material as u32,
-                None => *default_material.get_or_insert_with(|| {
-                    materials.push(Material { name: "default".into(), ..Material::default() });
-                    materials.len() as u32 - 1
-                }),
-            })
-            .collect();
-        let name = if node.name.is_empty() { format!("node {index}") } else { node.name.clone() };
-        let bounds = unique.meshes[mesh as usize].bounds;
-        let mut flattened = 0;
-        for transform in transforms {
-            let Some(transform) = transform::to_single(&transform) else {
-                flattened += 1;
-                continue;
-            };
-            let corners = [bounds.min, bounds.max].map(|corner| transform.transform_point3(corner));
-            if !corners.iter().all(|corner| corner.is_finite()) {
-                flattened += 1;
-                continue;
-            }
-            instances.push(Instance { name: name.clone(), mesh, transform, materials: slots.clone() });
-        }
-        if flattened > 0 {
-            let message = format!("{flattened} instances have a scale of zero or beyond all bounds; skipped");
-            session.warnings.add(&at, message);
-        }
-    }
-    if instances.is_empty() {
-        session.warnings.add("", "the scene shows no mesh");
-    }
-    Ok(instances)
-}
-
 /// The cameras of the graph. One that makes no picture is skipped with a warning.
 pub(super) fn cameras(document: &Document, graph: &Graph, session: &mut Session<'_>) -> Vec<Camera> {
     let mut cameras: Vec<Camera> = Vec::new();
+    let mut names = UniqueNames::default();
     for &index in &graph.visited {
         let node = &document.nodes[index];
         let (Some(camera_index), Some(world)) = (node.camera, graph.world[index]) else { continue };
@@ -151,12 +74,33 @@ pub(super) fn cameras(document: &Document, graph: &Graph, session: &mut Session<
             continue;
         };
         let base = [&source.name, &node.name].into_iter().find(|name| !name.is_empty()).cloned();
-        let base = base.unwrap_or_else(|| format!("camera {}", cameras.len()));
-        let same = cameras.iter().filter(|camera| camera.name == base).count();
-        let name = if same == 0 { base } else { format!("{base} ({})", cameras.len()) };
-        cameras.push(Camera { name, position: world.translation.as_vec3(), forward, up, projection });
+        let name = names.make(base.unwrap_or_else(|| format!("camera {}", cameras.len())));
+        let (position, frame_aspect) = (world.translation.as_vec3(), frame_aspect(source));
+        cameras.push(Camera { name, position, forward, up, projection, frame_aspect });
     }
     cameras
+}
+
+/// Names that are all different, since cameras are chosen by name.
+#[derive(Default)]
+struct UniqueNames {
+    taken: HashSet<String>,
+    /// The number to try next for each name that came more than once.
+    next: HashMap<String, usize>,
+}
+
+impl UniqueNames {
+    /// `base`, or `base (n)` where that is taken.
+    fn make(&mut self, base: String) -> String {
+        let mut name = base.clone();
+        while self.taken.contains(&name) {
+            let number = self.next.entry(base.clone()).or_insert(0);
+            *number += 1;
+            name = format!("{base} ({number})");
+        }
+        self.taken.insert(name.clone());
+        name
+    }
 }
 
 fn projection(source: &document::Camera) -> Result<Projection, (&'static str, String)> {
@@ -179,9 +123,22 @@ fn projection(source: &document::Camera) -> Result<Projection, (&'static str, St
             }
         }
         (kind, ..) => {
-            Err(("/type", format!("{kind:?} needs the object of the same name (perspective or orthographic)")))
+            let kind = quoted(kind);
+            Err(("/type", format!("{kind} needs the object of the same name (perspective or orthographic)")))
         }
     }
+}
+
+/// Width over height of the camera's frame; `None` where the file gives none that makes sense.
+fn frame_aspect(source: &document::Camera) -> Option<f32> {
+    let aspect = match source.kind.as_str() {
+        "perspective" => source.perspective.as_ref()?.aspect_ratio?,
+        _ => {
+            let orthographic = source.orthographic.as_ref()?;
+            (orthographic.xmag? / orthographic.ymag).abs()
+        }
+    };
+    (aspect.is_finite() && aspect > 0.0).then_some(aspect)
 }
 
 /// Forward (-Z) and up (+Y) of a node, orthonormal.
@@ -210,16 +167,20 @@ pub(super) fn lights(document: &Document, graph: &Graph, session: &mut Session<'
                 PunctualKind::Spot { inner_cone_rad: inner.clamp(0.0, outer), outer_cone_rad: outer }
             }
             other => {
-                let message = format!("{other:?} is not point, spot or directional; the light is skipped");
+                let message = format!("{} is not point, spot or directional; the light is skipped", quoted(other));
                 session.warnings.add(&format!("{at}/type"), message);
                 continue;
             }
         };
         let intensity = Vec3::from(source.color).max(Vec3::ZERO) * source.intensity.max(0.0);
         let position = world.translation.as_vec3();
+        // A point light needs no direction, and a node with a scale of zero has none to give.
         let direction = transform::direction(&world.matrix3, DVec3::NEG_Z);
+        let direction = direction.or((kind == PunctualKind::Point).then_some(Vec3::NEG_Z));
         let (Some(direction), true, true) = (direction, intensity.is_finite(), position.is_finite()) else {
-            session.warnings.add(&at, "its intensity or place is beyond all bounds; the light is skipped");
+            session
+                .warnings
+                .add(&at, "its intensity, direction or place is none or beyond all bounds; the light is skipped");
             continue;
         };
         let range = source.range.filter(|range| *range > 0.0).unwrap_or(f32::INFINITY);

@@ -4,10 +4,12 @@ use glam::{DVec3, Vec3};
 
 use super::accessor::Accessors;
 use super::document::Primitive;
+use super::pose::{Pose, Vertices};
 use super::tangents;
 use super::topology::{self, Topology};
 use super::warnings::Warnings;
 use crate::scene::error::{ImportError, Result};
+use crate::scene::model::TextureRef;
 
 /// Vertices and what they span. Attributes are empty where the file has none.
 #[derive(Debug, Default)]
@@ -21,8 +23,6 @@ pub(super) struct Part {
     pub(super) triangles: Vec<[u32; 3]>,
     /// Centres and radii.
     pub(super) spheres: Vec<(Vec3, f32)>,
-    /// Number in the accessors of each vertex; `None` when the numbers are the same.
-    pub(super) origin: Option<Vec<u32>>,
     pub(super) warnings: Warnings,
 }
 
@@ -31,8 +31,9 @@ pub(super) struct Context<'a> {
     pub(super) accessors: &'a Accessors<'a>,
     /// Such as `meshes/0/primitives/1`.
     pub(super) at: String,
-    /// UV set of the material's normal map: tangents are needed.
-    pub(super) normal_map_uv: Option<u32>,
+    /// The material's normal map: tangents are needed.
+    pub(super) normal_map: Option<TextureRef>,
+    pub(super) pose: &'a Pose<'a>,
 }
 
 impl Part {
@@ -79,10 +80,10 @@ impl Part {
             part.warnings.add(&context.at, format!("the last {left} indices make no triangle; ignored"));
             indices.truncate(indices.len() - left);
         }
-        part.origin = topology::compact(&mut indices, vertices);
+        let used = topology::compact(&mut indices, vertices);
         part.triangles = topology.triangles(&indices);
         drop(indices);
-        part.read_attributes(primitive, context, position)?;
+        part.read_attributes(primitive, context, position, used.as_deref())?;
         part.drop_degenerate(topology, &context.at);
         part.complete_tangents(context);
         Ok(part)
@@ -123,7 +124,14 @@ impl Part {
                 format!("radius {} of sphere {place} is not a positive finite number", radii[place]),
             ));
         }
-        self.spheres = centers.into_iter().map(Vec3::from).zip(radii).collect();
+        if context.pose.flattened.is_some() {
+            self.warnings.add(&context.at, "a scale of zero flattens its spheres; skipped");
+            return Ok(());
+        }
+        let mut centers: Vec<Vec3> = centers.into_iter().map(Vec3::from).collect();
+        let mut vertices = Vertices { positions: &mut centers, normals: &mut Vec::new(), tangents: &mut Vec::new() };
+        context.pose.apply(primitive, context, Some(indices), &mut vertices)?;
+        self.spheres = centers.into_iter().zip(radii).collect();
         let before = self.spheres.len();
         self.spheres.retain(|(_, radius)| *radius > 0.0);
         if self.spheres.len() < before {
@@ -133,9 +141,14 @@ impl Part {
         Ok(())
     }
 
-    fn read_attributes(&mut self, primitive: &Primitive, context: &Context<'_>, position: usize) -> Result<()> {
-        let origin = self.origin.take();
-        let subset = origin.as_deref();
+    /// Reads the vertices that `subset` lists (`None`: all) and poses them.
+    fn read_attributes(
+        &mut self,
+        primitive: &Primitive,
+        context: &Context<'_>,
+        position: usize,
+        subset: Option<&[u32]>,
+    ) -> Result<()> {
         let attribute = |name: &str| {
             let accessor = primitive.attributes.get(name).copied()?;
             Some((accessor, format!("{}/attributes/{name}", context.at)))
@@ -167,18 +180,18 @@ impl Part {
         if let Some((accessor, at)) = attribute("NORMAL") {
             let normals = context.accessors.floats::<3>(accessor, subset, &at)?;
             self.normals = normals.into_iter().map(Vec3::from).collect();
-            self.repair_normals(&at);
             // Tangents without normals are to be ignored (glTF 2.0, 3.7.2.1).
             if let Some((accessor, at)) = attribute("TANGENT") {
-                let tangents = context.accessors.floats::<4>(accessor, subset, &at)?;
-                self.tangents = tangents
-                    .iter()
-                    .zip(&self.normals)
-                    .map(|(tangent, normal)| tangents::repaired(*tangent, *normal))
-                    .collect();
+                self.tangents = context.accessors.floats::<4>(accessor, subset, &at)?;
             }
         }
-        self.origin = origin;
+        let mut vertices =
+            Vertices { positions: &mut self.positions, normals: &mut self.normals, tangents: &mut self.tangents };
+        context.pose.apply(primitive, context, subset, &mut vertices)?;
+        self.repair_normals(&context.at);
+        for (tangent, normal) in self.tangents.iter_mut().zip(&self.normals) {
+            *tangent = tangents::repaired(*tangent, *normal);
+        }
         Ok(())
     }
 
@@ -192,7 +205,8 @@ impl Part {
         if !missing {
             return;
         }
-        self.warnings.add(at, "some normals have no direction; the mean of their triangles' takes their place");
+        let at = format!("{at}/attributes/NORMAL");
+        self.warnings.add(&at, "some normals have no direction; the mean of their triangles' takes their place");
         let mut sums = vec![Vec3::ZERO; self.positions.len()];
         for triangle in &self.triangles {
             let face = face_normal(&self.positions, *triangle).unwrap_or(Vec3::ZERO);
@@ -226,7 +240,7 @@ impl Part {
 
     /// With a normal map but without tangents, computes them; flat normals first where there are none.
     fn complete_tangents(&mut self, context: &Context<'_>) {
-        let Some(uv_set) = context.normal_map_uv else { return };
+        let Some(TextureRef { uv_set, transform, .. }) = context.normal_map else { return };
         if !self.tangents.is_empty() || self.triangles.is_empty() {
             return;
         }
@@ -239,7 +253,12 @@ impl Part {
             self.warnings.add(&context.at, message);
             return;
         }
-        match tangents::corner_tangents(&self.triangles, &self.positions, &self.normals, uvs) {
+        // The map is looked up with its transformed coordinates: they are what its red and green axes follow.
+        let uvs: Vec<[f32; 2]> = uvs
+            .iter()
+            .map(|[u, v]| transform.map(|[along_u, along_v, offset]| along_u * u + along_v * v + offset))
+            .collect();
+        match tangents::corner_tangents(&self.triangles, &self.positions, &self.normals, &uvs) {
             Some(corners) => self.split_by_tangent(&corners),
             None => self.warnings.add(&context.at, "no tangents could be computed for its normal map"),
         }
@@ -268,10 +287,6 @@ impl Part {
         pick(&mut self.uv0, sources);
         pick(&mut self.uv1, sources);
         pick(&mut self.colors, sources);
-        match &mut self.origin {
-            Some(origin) => pick(origin, sources),
-            None => self.origin = Some(sources.to_vec()),
-        }
     }
 
     /// One vertex for every old vertex and each different tangent of its corners.

@@ -1,5 +1,5 @@
 //! Tangents that a file left out: MikkTSpace (Mikkelsen 2008), which glTF 2.0 (3.7.2.1) asks for, over the UV set of
-//! the normal map. Tangents are found per triangle corner; corners of one vertex with different tangents become
+//! the normal map, transformed as the map is looked up (KHR_texture_transform). Tangents are found per triangle corner; corners of one vertex with different tangents become
 //! vertices of their own.
 
 use glam::Vec3;

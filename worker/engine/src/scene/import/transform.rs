@@ -5,6 +5,7 @@ use glam::{Affine3A, DAffine3, DMat3, DMat4, DQuat, DVec3, Mat3A};
 
 use super::accessor::Accessors;
 use super::document::{Document, Instancing, Node};
+use super::pose::cofactor;
 use crate::scene::error::{ImportError, Result};
 use crate::scene::limits::Limits;
 
@@ -94,16 +95,32 @@ pub(super) fn instancing(
         .collect()
 }
 
-/// In single precision; `None` when the transform or its inverse is not finite, as with a scale of zero.
-pub(super) fn to_single(transform: &DAffine3) -> Option<Affine3A> {
+/// What a transform is to an instance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Single {
+    /// In single precision, with a finite inverse.
+    Usable(Affine3A),
+    /// Leaves areas in one plane only, as a scale of zero along one axis does: rays cannot be taken back by it.
+    Flat,
+    /// Leaves no area at all, or is beyond all bounds.
+    Nothing,
+}
+
+pub(super) fn to_single(transform: &DAffine3) -> Single {
     let single = Affine3A::from_cols(
         transform.matrix3.x_axis.as_vec3().into(),
         transform.matrix3.y_axis.as_vec3().into(),
         transform.matrix3.z_axis.as_vec3().into(),
         transform.translation.as_vec3().into(),
     );
-    let usable = |affine: &Affine3A| affine.is_finite() && affine.matrix3 != Mat3A::ZERO;
-    (usable(&single) && usable(&single.inverse())).then_some(single)
+    if !single.is_finite() {
+        return Single::Nothing;
+    }
+    let inverse = single.inverse();
+    if inverse.is_finite() && inverse.matrix3 != Mat3A::ZERO {
+        return Single::Usable(single);
+    }
+    if cofactor(&transform.matrix3) == DMat3::ZERO { Single::Nothing } else { Single::Flat }
 }
 
 /// Unit axes of a transform that carries a camera or a light, whose scale does not count.

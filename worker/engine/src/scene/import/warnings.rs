@@ -16,7 +16,11 @@ impl Warnings {
             return;
         }
         let separator = if position.is_empty() { "" } else { ": " };
-        self.messages.push(format!("{position}{separator}{}", message.as_ref()));
+        let message = format!("{position}{separator}{}", message.as_ref());
+        // Several poses of one mesh have the same to say.
+        if !self.messages.contains(&message) {
+            self.messages.push(message);
+        }
     }
 
     pub(super) fn append(&mut self, other: Self) {

@@ -285,6 +285,19 @@ fn budgets_hold() {
     refused(Limits { triangles: 0, ..Limits::default() }, part, "1 triangles and spheres");
     refused(Limits { geometry_bytes: 100, ..Limits::default() }, part, "bytes of geometry");
     refused(Limits { instances: 0, ..Limits::default() }, "nodes/0", "1 instances");
+    let mut draft = Draft::triangle();
+    draft.json["materials"] = json!([{}, {}]);
+    draft.json["textures"] = json!([{}, {}, {}]);
+    draft.json["cameras"] = json!([{}]);
+    draft.json["extensions"] = json!({ "KHR_lights_punctual": { "lights": [{ "type": "point" }] } });
+    draft.json["nodes"] = json!([{ "camera": 0 }, { "extensions": { "KHR_lights_punctual": { "light": 0 } } }]);
+    let refused_too = |limits: Limits, position: &str, part: &str| {
+        check_refusal(import_bytes(draft.file(), &limits), Limit, position, part);
+    };
+    refused_too(Limits { materials: 1, ..Limits::default() }, "materials", "2 materials");
+    refused_too(Limits { textures: 2, ..Limits::default() }, "textures", "3 textures");
+    refused_too(Limits { cameras: 0, ..Limits::default() }, "nodes", "1 nodes with a camera");
+    refused_too(Limits { lights: 0, ..Limits::default() }, "nodes", "1 nodes with a light");
     refused(Limits { input_bytes: 100, ..Limits::default() }, "test.glb", "more than the limit of 100");
 }
 

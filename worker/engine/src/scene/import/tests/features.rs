@@ -1,5 +1,7 @@
 //! Geometry, transforms, cameras and lights.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use serde_json::json;
 
@@ -20,7 +22,7 @@ fn a_triangle_gets_the_default_material_and_no_normals() {
     assert!(scene.meshes[0].normals.is_empty());
     assert_eq!(scene.materials.len(), 1);
     assert_eq!((scene.materials[0].metallic, scene.materials[0].roughness), (1.0, 1.0));
-    assert_eq!(scene.instances[0].materials, [0]);
+    assert_eq!(*scene.instances[0].materials, [0]);
     assert_eq!(scene.warnings, [""; 0]);
 }
 
@@ -157,7 +159,7 @@ fn primitives_merge_into_slots_and_equal_meshes_share_one() {
     let mesh = &scene.meshes[0];
     assert_eq!((mesh.slots, mesh.triangle_slots.as_slice()), (2, [0, 1].as_slice()));
     assert_eq!(mesh.triangles, [[0, 1, 2], [3, 4, 5]]);
-    let slots: Vec<&[u32]> = scene.instances.iter().map(|instance| instance.materials.as_slice()).collect();
+    let slots: Vec<&[u32]> = scene.instances.iter().map(|instance| &*instance.materials).collect();
     assert_eq!(slots, [[1, 1], [1, 0], [1, 0]]);
 }
 
@@ -177,15 +179,6 @@ fn matrices_and_nested_transforms_place_instances() {
 }
 
 #[test]
-fn instances_without_size_are_skipped_with_a_warning() {
-    let mut draft = Draft::triangle();
-    draft.json["nodes"][0]["scale"] = json!([1, 0, 1]);
-    let scene = draft.scene();
-    assert!(scene.instances.is_empty() && scene.meshes.is_empty());
-    assert!(scene.warnings[0].starts_with("nodes/0: 1 instances have a scale of zero"), "{:?}", scene.warnings);
-}
-
-#[test]
 fn gpu_instancing_multiplies_a_node() {
     let mut draft = Draft::triangle();
     let translations = draft.floats("VEC3", &[0., 0., 0., 1., 2., 3.]);
@@ -198,13 +191,54 @@ fn gpu_instancing_multiplies_a_node() {
     assert_eq!((scene.meshes.len(), scene.instances.len()), (1, 2));
     let moved = scene.instances[1].transform;
     assert!(moved.transform_point3(Vec3::X).distance(Vec3::new(0.0, 2.0, 103.0)) < 1e-5, "{moved}");
+    // A million instances of a node with a long name and many slots cost no more than their transforms.
+    let [a, b] = scene.instances.as_slice() else { panic!("two") };
+    assert!(Arc::ptr_eq(&a.name, &b.name) && Arc::ptr_eq(&a.materials, &b.materials));
+}
+
+#[test]
+fn names_are_cut_at_a_whole_character() {
+    let mut draft = Draft::triangle();
+    draft.json["nodes"][0]["name"] = json!("ä".repeat(1000));
+    draft.json["meshes"][0]["name"] = json!(format!("x{}", "ä".repeat(1000)));
+    let scene = draft.scene();
+    assert_eq!(&*scene.instances[0].name, "ä".repeat(128));
+    assert_eq!(scene.meshes[0].name.len(), 255);
+}
+
+#[test]
+fn no_two_cameras_have_the_same_name() {
+    let mut draft = Draft::triangle();
+    draft.json["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } }]);
+    let camera = |name: &str| json!({ "camera": 0, "name": name });
+    let nodes: Vec<_> = ["x", "x", "x (1)", "x", "", "camera 4"].map(camera).into();
+    draft.json["scenes"][0]["nodes"] = json!((0..nodes.len()).collect::<Vec<_>>());
+    draft.json["nodes"] = json!(nodes);
+    let scene = draft.scene();
+    let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    assert_eq!(names, ["x", "x (1)", "x (1) (1)", "x (2)", "camera 4", "camera 4 (1)"]);
+}
+
+#[test]
+fn a_node_without_size_keeps_its_point_light() {
+    let mut draft = Draft::triangle();
+    draft.json["extensions"] =
+        json!({ "KHR_lights_punctual": { "lights": [{ "type": "point" }, { "type": "spot" }] } });
+    let light = |index: u32| json!({ "extensions": { "KHR_lights_punctual": { "light": index } } });
+    draft.json["nodes"] =
+        json!([{ "children": [1, 2], "scale": [0, 0, 0], "translation": [1, 2, 3] }, light(0), light(1)]);
+    let scene = draft.scene();
+    assert_eq!(scene.lights.len(), 1);
+    assert_eq!((scene.lights[0].kind, scene.lights[0].position), (PunctualKind::Point, Vec3::new(1.0, 2.0, 3.0)));
+    let told = scene.warnings.iter().any(|warning| warning.starts_with("extensions/KHR_lights_punctual/lights/1: "));
+    assert!(told, "{:?}", scene.warnings);
 }
 
 #[test]
 fn cameras_look_along_their_nodes_minus_z() {
     let mut draft = Draft::triangle();
     draft.json["cameras"] = json!([
-        { "name": "eye", "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } },
+        { "name": "eye", "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1, "aspectRatio": 1.5 } },
         { "type": "orthographic", "orthographic": { "xmag": 2, "ymag": -3, "znear": 0, "zfar": 9 } },
         { "type": "perspective", "perspective": { "yfov": 4.0, "znear": 0.1 } },
     ]);
@@ -220,9 +254,10 @@ fn cameras_look_along_their_nodes_minus_z() {
     let eye = &scene.cameras[0];
     assert_eq!((eye.name.as_str(), eye.position), ("eye", Vec3::new(1.0, 2.0, 3.0)));
     assert!(eye.forward.distance(Vec3::NEG_X) < 1e-6 && eye.up.distance(Vec3::Y) < 1e-6);
-    assert_eq!(eye.projection, Projection::Perspective { fov_y_rad: 0.8 });
+    assert_eq!((eye.projection, eye.frame_aspect), (Projection::Perspective { fov_y_rad: 0.8 }, Some(1.5)));
     assert_eq!(scene.cameras[1].name, "plan");
     assert_eq!(scene.cameras[1].projection, Projection::Orthographic { half_height: 3.0 });
+    assert_eq!(scene.cameras[1].frame_aspect, Some(2.0 / 3.0));
     assert!(scene.warnings[0].starts_with("cameras/2/perspective/yfov: 4"), "{:?}", scene.warnings);
 }
 

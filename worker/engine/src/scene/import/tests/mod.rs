@@ -4,6 +4,7 @@ mod bad_input;
 mod features;
 mod files;
 mod fuzz;
+mod poses;
 mod shading;
 
 use serde_json::{Value, json};

@@ -46,15 +46,15 @@ fn materials_keep_every_factor() {
     let material = &scene.materials[0];
     assert_eq!(material.base_color, [0.1, 0.2, 0.3, 0.4]);
     assert_eq!((material.metallic, material.roughness, material.normal_scale), (0.5, 0.6, 2.0));
-    assert_eq!((material.occlusion_strength, material.alpha_cutoff), (0.25, 0.3));
+    assert_eq!(material.alpha_cutoff, 0.3);
     assert_eq!((material.emissive, material.alpha_mode), (Vec3::new(4.0, 2.0, 0.0), AlphaMode::Mask));
-    assert!(material.double_sided && material.unlit);
+    assert!(material.unlit);
     let first = scene.textures[material.base_color_texture.unwrap().texture as usize];
     assert_eq!((first.wrap_u, first.wrap_v, first.filter), (Wrap::ClampToEdge, Wrap::MirroredRepeat, Filter::Nearest));
     let second = scene.textures[material.metallic_roughness_texture.unwrap().texture as usize];
     assert_eq!((second.wrap_u, second.wrap_v, second.filter), (Wrap::Repeat, Wrap::Repeat, Filter::Linear));
     assert_eq!(material.emissive_texture.unwrap().uv_set, 1);
-    assert!(material.normal_texture.is_some() && material.occlusion_texture.is_some());
+    assert!(material.normal_texture.is_some());
     assert_eq!((scene.images.len(), scene.textures.len()), (1, 2), "one image serves both textures");
 }
 
@@ -65,6 +65,15 @@ fn texture_transforms_and_their_uv_set_are_taken_over() {
         json!({ "KHR_texture_transform": { "offset": [0.5, 0.25], "scale": [2, 3], "texCoord": 1 } });
     let texture = draft.scene().materials[0].base_color_texture.unwrap();
     assert_eq!((texture.uv_set, texture.transform), (1, [[2.0, 0.0, 0.5], [0.0, 3.0, 0.25]]));
+}
+
+#[test]
+fn occlusion_textures_are_ignored_with_a_warning() {
+    let mut draft = textured(&red_png(), "image/png");
+    draft.json["materials"][0] = json!({ "occlusionTexture": { "index": 0 } });
+    let scene = draft.scene();
+    assert!(scene.images.is_empty() && scene.textures.is_empty(), "nothing is decoded that nobody reads");
+    assert!(scene.warnings[0].starts_with("materials: 1 have an occlusion texture"), "{:?}", scene.warnings);
 }
 
 #[test]
@@ -172,6 +181,22 @@ fn a_normal_map_brings_tangents_and_flat_normals() {
     draft.primitive()["attributes"]["TEXCOORD_0"] = json!(mirrored);
     let tangent = draft.scene().meshes[0].tangents[0];
     assert!(tangent[0] < -0.999 && tangent[3] == -1.0, "{tangent:?}");
+}
+
+#[test]
+fn tangents_follow_the_transform_of_the_normal_map() {
+    let mut draft = textured(&red_png(), "image/png");
+    let rotated = json!({ "KHR_texture_transform": { "rotation": std::f32::consts::FRAC_PI_2 } });
+    draft.json["materials"][0] = json!({ "normalTexture": { "index": 0, "extensions": rotated } });
+    // A quarter turn: the map's u is v, which grows along -Y.
+    for [x, y, z, handedness] in &draft.scene().meshes[0].tangents {
+        assert!(Vec3::new(*x, *y, *z).distance(Vec3::NEG_Y) < 1e-6 && *handedness == 1.0, "{x} {y} {z} {handedness}");
+    }
+    let mirrored = json!({ "KHR_texture_transform": { "scale": [-1, 1] } });
+    draft.json["materials"][0]["normalTexture"]["extensions"] = mirrored;
+    for [x, _, _, handedness] in &draft.scene().meshes[0].tangents {
+        assert!(*x < -0.999 && *handedness == -1.0, "{x} {handedness}");
+    }
 }
 
 #[test]
