@@ -57,7 +57,7 @@ fn path_hit(slot: u32, path: PathState, ray: Ray, hit: Hit) {
         to_local(frame, surface.normal, to_viewer));
     let dimensions = SET_PATH + wave.bounce * SETS_PER_BOUNCE;
     let sample = path_sample(slot);
-    let numbers = sample_4d(sample.seed, sample.index, dimensions);
+    let numbers = sample_4d_bits(sample.seed, sample.index, dimensions);
     connect(slot, surface, bsdf, frame, path.throughput, numbers);
 
     let directions = sample_4d(sample.seed, sample.index, dimensions + 1u);
@@ -71,7 +71,7 @@ fn path_hit(slot: u32, path: PathState, ray: Ray, hit: Hit) {
     }
     if wave.bounce >= ROULETTE_START {
         let survival = min(largest, MAX_SURVIVAL);
-        if numbers.w >= survival {
+        if unit_float(numbers.w) >= survival {
             return;
         }
         next.throughput *= 1.0 / survival;
@@ -87,8 +87,9 @@ fn path_hit(slot: u32, path: PathState, ray: Ray, hit: Hit) {
 }
 
 // Next-event estimation: one light, one point on it, weighted against BSDF sampling.
-fn connect(slot: u32, surface: Surface, bsdf: Bsdf, frame: Basis, throughput: vec3<f32>, numbers: vec4<f32>) {
-    let light = sample_light(surface.position, surface.normal, numbers.x, numbers.y, numbers.z);
+fn connect(slot: u32, surface: Surface, bsdf: Bsdf, frame: Basis, throughput: vec3<f32>, numbers: vec4<u32>) {
+    let light =
+        sample_light(surface.position, surface.normal, numbers.x, unit_float(numbers.y), unit_float(numbers.z));
     if light.pdf <= 0.0 || dot(light.direction, surface.geometric_normal) <= 0.0 {
         return;
     }
@@ -101,5 +102,5 @@ fn connect(slot: u32, surface: Surface, bsdf: Bsdf, frame: Basis, throughput: ve
     if all(contribution == vec3<f32>(0.0)) || !is_finite(contribution) {
         return;
     }
-    cast_shadow_ray(slot, shadow_ray(surface, light.direction, light.distance), contribution);
+    cast_shadow_ray(slot, shadow_ray(surface, light), contribution);
 }

@@ -33,8 +33,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let bsdf = make_bsdf(surface.base_color, surface.metallic, surface.roughness, wo);
     let is_mirror = surface.roughness < MIRROR_ROUGHNESS;
     let sample = path_sample(slot);
-    let numbers = sample_4d(sample.seed, sample.index, SET_PATH + wave.bounce * SETS_PER_BOUNCE);
-    let light = sample_light(surface.position, surface.normal, numbers.x, numbers.y, numbers.z);
+    let numbers = sample_4d_bits(sample.seed, sample.index, SET_PATH + wave.bounce * SETS_PER_BOUNCE);
+    let light =
+        sample_light(surface.position, surface.normal, numbers.x, unit_float(numbers.y), unit_float(numbers.z));
     if light.pdf > 0.0 && dot(light.direction, surface.geometric_normal) > 0.0 {
         let wi = to_local(frame, surface.normal, light.direction);
         var reflected: vec3<f32>;
@@ -45,7 +46,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         let contribution = path.throughput * reflected * light.radiance * (1.0 / light.pdf);
         if any(contribution != vec3<f32>(0.0)) && is_finite(contribution) {
-            cast_shadow_ray(slot, shadow_ray(surface, light.direction, light.distance), contribution);
+            cast_shadow_ray(slot, shadow_ray(surface, light), contribution);
         }
     }
 

@@ -12,7 +12,7 @@ fn no_light() -> LightSample {
     return LightSample(vec3<f32>(0.0, 1.0, 0.0), 0.0, vec3<f32>(0.0), 0.0, true);
 }
 
-fn sample_light(position: vec3<f32>, normal: vec3<f32>, choice: f32, u: f32, v: f32) -> LightSample {
+fn sample_light(position: vec3<f32>, normal: vec3<f32>, choice: u32, u: f32, v: f32) -> LightSample {
     if scene.light_count == 0u {
         return no_light();
     }
@@ -37,12 +37,12 @@ fn sample_light(position: vec3<f32>, normal: vec3<f32>, choice: f32, u: f32, v: 
     return sample_sphere(light, position, u, v);
 }
 
-fn select_light(choice: f32) -> u32 {
+fn select_light(choice: u32) -> u32 {
     var low = 0u;
     var high = scene.light_count - 1u;
     while low < high {
         let middle = (low + high) / 2u;
-        if float_at(scene.light_cdf + middle) > choice {
+        if words_at(scene.light_cdf + middle) >= choice {
             high = middle;
         } else {
             low = middle + 1u;

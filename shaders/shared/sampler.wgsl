@@ -49,13 +49,18 @@ fn sobol_4d(index: u32) -> vec4<u32> {
 }
 
 fn sample_4d(pixel_seed: u32, sample: u32, dimensions: u32) -> vec4<f32> {
+    let x = sample_4d_bits(pixel_seed, sample, dimensions);
+    return vec4<f32>(unit_float(x.x), unit_float(x.y), unit_float(x.z), unit_float(x.w));
+}
+
+fn sample_4d_bits(pixel_seed: u32, sample: u32, dimensions: u32) -> vec4<u32> {
     let seed = hash_combine(pixel_seed, dimensions);
     let x = sobol_4d(nested_uniform_scramble(sample, seed));
-    return vec4<f32>(
-        unit_float(nested_uniform_scramble(x.x, hash_combine(seed, 0u))),
-        unit_float(nested_uniform_scramble(x.y, hash_combine(seed, 1u))),
-        unit_float(nested_uniform_scramble(x.z, hash_combine(seed, 2u))),
-        unit_float(nested_uniform_scramble(x.w, hash_combine(seed, 3u))),
+    return vec4<u32>(
+        nested_uniform_scramble(x.x, hash_combine(seed, 0u)),
+        nested_uniform_scramble(x.y, hash_combine(seed, 1u)),
+        nested_uniform_scramble(x.z, hash_combine(seed, 2u)),
+        nested_uniform_scramble(x.w, hash_combine(seed, 3u)),
     );
 }
 

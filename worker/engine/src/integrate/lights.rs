@@ -32,9 +32,9 @@ pub struct LightSample {
 const NOTHING: LightSample =
     LightSample { direction: Vec3::Y, distance: 0.0, radiance: Vec3::ZERO, pdf: 0.0, is_delta: true };
 
-/// Chooses a light by power with `select`, and a point on it with `(u, v)`, for a surface at `position` with shading
+/// Chooses a light with all bits of `select`, and a point on it with `(u, v)`, for a surface at `position` with shading
 /// normal `normal`.
-pub fn sample_light(scene: &PackedScene, position: Vec3, normal: Vec3, select: f32, u: f32, v: f32) -> LightSample {
+pub fn sample_light(scene: &PackedScene, position: Vec3, normal: Vec3, select: u32, u: f32, v: f32) -> LightSample {
     if scene.lights.is_empty() {
         return NOTHING;
     }
@@ -59,12 +59,12 @@ pub fn sample_light(scene: &PackedScene, position: Vec3, normal: Vec3, select: f
     }
 }
 
-/// The first light whose cumulative probability exceeds `select`.
-fn select_light(scene: &PackedScene, select: f32) -> u32 {
+/// The first light whose range of numbers does not end before `select`.
+fn select_light(scene: &PackedScene, select: u32) -> u32 {
     let (mut low, mut high) = (0, scene.lights.len() as u32 - 1);
     while low < high {
         let middle = (low + high) / 2;
-        if scene.light_cdf[middle as usize] > select {
+        if scene.light_cdf[middle as usize] >= select {
             high = middle;
         } else {
             low = middle + 1;

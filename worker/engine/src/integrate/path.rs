@@ -5,16 +5,16 @@
 //! `max_bounces = 0` is direct light with soft shadows, and `max_bounces = 4` allows four indirect bounces behind the
 //! first hit.
 //!
-//! Occlusion textures are ignored: they stand for ambient light that a path tracer computes.
+//! Occlusion textures are ignored on import: they stand for ambient visibility, which rays find out here.
 
 use glam::Vec3;
 
 use super::alpha::{AlphaFilter, alpha_seed};
 use super::bsdf::{Bsdf, eval_bsdf, make_bsdf, sample_bsdf};
 use super::environment::{environment_pdf, environment_radiance};
-use super::lights::{emitter_pdf, sample_light};
+use super::lights::{LightSample, emitter_pdf, sample_light};
 use super::math::{basis, is_finite, offset_origin, power_heuristic, to_local, to_world};
-use super::sampler::{SET_PATH, SETS_PER_BOUNCE, pixel_seed, sample_4d};
+use super::sampler::{SET_PATH, SETS_PER_BOUNCE, pixel_seed, sample_4d, sample_4d_bits, unit_float};
 use super::surface::{Surface, hit_point, shade_point};
 use super::{Sample, Tally, primary_ray};
 use crate::pack::{MATERIAL_UNLIT, NONE, PackedScene};
@@ -24,8 +24,9 @@ use crate::trace::{Hit, Ray};
 const ROULETTE_START: u32 = 3;
 /// No path survives with certainty, so that closed white rooms end too.
 const MAX_SURVIVAL: f32 = 0.95;
-/// Shadow rays stop short of their light by this factor: the light itself is no occluder.
-const SHADOW_REACH: f32 = 0.9999;
+/// Bound on the rounding error of where a shadow ray meets its light, relative to the largest coordinates of its ends:
+/// 16 half units in the last place, as [`super::math::LOCAL_ERROR`].
+const SHADOW_ERROR: f32 = super::math::LOCAL_ERROR;
 
 #[derive(Clone, Copy, Debug)]
 pub struct PathState {
@@ -135,7 +136,7 @@ pub fn path_hit(
     let wo = to_local(tangent, bitangent, surface.normal, to_viewer);
     let bsdf = make_bsdf(&scene.ggx_albedo, surface.base_color, surface.metallic, surface.roughness, wo);
     let set = SET_PATH + state.bounce * SETS_PER_BOUNCE;
-    let numbers = sample_4d(pixel_seed, sample_index, set);
+    let numbers = sample_4d_bits(pixel_seed, sample_index, set);
     let shadow = connect(scene, &surface, &bsdf, tangent, bitangent, state.throughput, numbers);
 
     let directions = sample_4d(pixel_seed, sample_index, set + 1);
@@ -149,7 +150,7 @@ pub fn path_hit(
     state.throughput = throughput;
     if state.bounce >= ROULETTE_START {
         let survival = largest.min(MAX_SURVIVAL);
-        if numbers[3] >= survival {
+        if unit_float(numbers[3]) >= survival {
             return Step { shadow, alive: false };
         }
         state.throughput *= 1.0 / survival;
@@ -174,9 +175,10 @@ fn connect(
     tangent: Vec3,
     bitangent: Vec3,
     throughput: Vec3,
-    numbers: [f32; 4],
+    numbers: [u32; 4],
 ) -> Option<ShadowRay> {
-    let light = sample_light(scene, surface.position, surface.normal, numbers[0], numbers[1], numbers[2]);
+    let (u, v) = (unit_float(numbers[1]), unit_float(numbers[2]));
+    let light = sample_light(scene, surface.position, surface.normal, numbers[0], u, v);
     if light.pdf <= 0.0 || light.direction.dot(surface.geometric_normal) <= 0.0 {
         return None;
     }
@@ -187,15 +189,25 @@ fn connect(
     if contribution == Vec3::ZERO || !is_finite(contribution) {
         return None;
     }
-    Some(ShadowRay { ray: shadow_ray(surface, light.direction, light.distance), contribution })
+    Some(ShadowRay { ray: shadow_ray(surface, &light), contribution })
 }
 
-/// The segment from a surface towards a light at `distance` in the unit direction `direction`.
-pub fn shadow_ray(surface: &Surface, direction: Vec3, distance: f32) -> Ray {
-    let origin = offset_origin(surface.position, surface.error, surface.geometric_normal, direction);
-    if distance == f32::INFINITY {
-        return Ray::new(origin, direction);
+/// The segment from a surface to a light. It ends at a punctual light itself, which nothing can hit; short of an area
+/// light by the bound on rounding errors, since the light is no occluder to itself.
+pub fn shadow_ray(surface: &Surface, light: &LightSample) -> Ray {
+    let origin = offset_origin(surface.position, surface.error, surface.geometric_normal, light.direction);
+    if light.distance == f32::INFINITY {
+        return Ray::new(origin, light.direction);
     }
-    let to_light = direction * distance - (origin - surface.position);
-    Ray { origin, t_min: 0.0, direction: to_light, t_max: SHADOW_REACH }
+    let to_light = light.direction * light.distance - (origin - surface.position);
+    let mut t_max = 1.0;
+    if !light.is_delta {
+        let error = (largest_component(origin) + largest_component(to_light)) * SHADOW_ERROR;
+        t_max = (1.0 - error / light.distance).max(0.0);
+    }
+    Ray { origin, t_min: 0.0, direction: to_light, t_max }
+}
+
+fn largest_component(v: Vec3) -> f32 {
+    v.x.abs().max(v.y.abs()).max(v.z.abs())
 }

@@ -101,13 +101,18 @@ pub fn sobol_4d(index: u32) -> [u32; 4] {
 
 /// Four numbers in `[0, 1)` for sample `sample` of a pixel in dimension set `set`.
 pub fn sample_4d(pixel_seed: u32, sample: u32, set: u32) -> [f32; 4] {
+    sample_4d_bits(pixel_seed, sample, set).map(unit_float)
+}
+
+/// [`sample_4d`] as 32-bit fractions: floats have 24 bits only.
+pub fn sample_4d_bits(pixel_seed: u32, sample: u32, set: u32) -> [u32; 4] {
     let seed = hash_combine(pixel_seed, set);
     let x = sobol_4d(nested_uniform_scramble(sample, seed));
     [
-        unit_float(nested_uniform_scramble(x[0], hash_combine(seed, 0))),
-        unit_float(nested_uniform_scramble(x[1], hash_combine(seed, 1))),
-        unit_float(nested_uniform_scramble(x[2], hash_combine(seed, 2))),
-        unit_float(nested_uniform_scramble(x[3], hash_combine(seed, 3))),
+        nested_uniform_scramble(x[0], hash_combine(seed, 0)),
+        nested_uniform_scramble(x[1], hash_combine(seed, 1)),
+        nested_uniform_scramble(x[2], hash_combine(seed, 2)),
+        nested_uniform_scramble(x[3], hash_combine(seed, 3)),
     ]
 }
 

@@ -12,7 +12,7 @@ use super::environment::environment_radiance;
 use super::lights::sample_light;
 use super::math::{basis, is_finite, offset_origin, to_local};
 use super::path::shadow_ray;
-use super::sampler::{SET_PATH, SETS_PER_BOUNCE, pixel_seed, sample_4d};
+use super::sampler::{SET_PATH, SETS_PER_BOUNCE, pixel_seed, sample_4d_bits, unit_float};
 use super::surface::{hit_point, shade_point};
 use super::{Sample, Tally, primary_ray};
 use crate::pack::{MATERIAL_UNLIT, NONE, PackedScene};
@@ -52,8 +52,9 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
         let wo = to_local(tangent, bitangent, surface.normal, to_viewer);
         let bsdf = make_bsdf(table, surface.base_color, surface.metallic, surface.roughness, wo);
         let is_mirror = surface.roughness < MIRROR_ROUGHNESS;
-        let numbers = sample_4d(seed, sample.index, SET_PATH + bounce * SETS_PER_BOUNCE);
-        let light = sample_light(scene, surface.position, surface.normal, numbers[0], numbers[1], numbers[2]);
+        let numbers = sample_4d_bits(seed, sample.index, SET_PATH + bounce * SETS_PER_BOUNCE);
+        let (u, v) = (unit_float(numbers[1]), unit_float(numbers[2]));
+        let light = sample_light(scene, surface.position, surface.normal, numbers[0], u, v);
         if light.pdf > 0.0 && light.direction.dot(surface.geometric_normal) > 0.0 {
             let wi = to_local(tangent, bitangent, surface.normal, light.direction);
             let reflected = if is_mirror { eval_cosine_lobes(table, &bsdf, wi) } else { eval_bsdf(table, &bsdf, wi) };
@@ -61,7 +62,7 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
             if contribution != Vec3::ZERO && is_finite(contribution) {
                 tally.rays.shadow += 1;
                 let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * bounce + 1) };
-                let ray = shadow_ray(&surface, light.direction, light.distance);
+                let ray = shadow_ray(&surface, &light);
                 if !scene.accel.occluded(&ray, &filter, &mut tally.counters) {
                     radiance += contribution;
                 }

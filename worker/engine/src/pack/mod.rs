@@ -17,8 +17,6 @@ pub use overlay::{placements, with_overlays};
 
 use std::sync::Arc;
 
-use glam::Vec3;
-
 use crate::accel::SceneAccel;
 use crate::integrate::camera::pack_camera;
 use crate::scene::{Aabb, Scene};
@@ -46,8 +44,8 @@ pub struct PackedScene {
     /// RGBA8 texels of all images, red in the low byte.
     pub texels: Vec<u32>,
     pub lights: Vec<PackedLight>,
-    /// Inclusive cumulative selection probabilities, as long as `lights`, last value 1.
-    pub light_cdf: Vec<f32>,
+    /// For each light the last of all 32-bit numbers that selects it; increases, up to `u32::MAX`.
+    pub light_cdf: Vec<u32>,
     /// Light number of each primitive of instances that emit: `emitter_lights[instance.emitter_base + primitive]`.
     pub emitter_lights: Vec<u32>,
     pub environment: PackedEnvironment,
@@ -120,24 +118,19 @@ pub fn pack(scene: &Scene, settings: &RenderSettings, accel: Arc<SceneAccel>) ->
         accel,
     };
     let punctual = scene.lights.iter().chain(&settings.extra_lights);
-    lights::pack_lights(&mut packed, punctual, environment.mean_radiance)?;
+    let radius = radius(overlay::own_bounds(scene, settings));
+    lights::pack_lights(&mut packed, punctual, environment.mean_radiance, radius)?;
     Ok(packed)
 }
 
-impl PackedScene {
-    /// Radius of the sphere around `bounds`, at least the smallest positive number.
-    pub fn radius(&self) -> f32 {
-        if self.bounds.is_empty() { 1.0 } else { (0.5 * self.bounds.extent()).length().max(f32::MIN_POSITIVE) }
-    }
-
-    pub fn center(&self) -> Vec3 {
-        if self.bounds.is_empty() { Vec3::ZERO } else { self.bounds.center() }
-    }
+/// Radius of the sphere around `bounds`, at least the smallest positive number.
+fn radius(bounds: Aabb) -> f32 {
+    if bounds.is_empty() { 1.0 } else { (0.5 * bounds.extent()).length().max(f32::MIN_POSITIVE) }
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::Affine3A;
+    use glam::{Affine3A, Vec3};
 
     use super::*;
     use crate::integrate::tests::{camera, matte, scene, settings, square};

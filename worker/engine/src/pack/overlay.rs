@@ -36,6 +36,14 @@ pub fn placements(scene: &Scene) -> Vec<Placement> {
         .collect()
 }
 
+/// Bounds of what the job did not add itself: by them lights are weighed, and a ground that reaches to the horizon would
+/// say that next to all light comes from the sky.
+pub(super) fn own_bounds(scene: &Scene, settings: &RenderSettings) -> Aabb {
+    let own = scene.instances.len() - usize::from(settings.ground.is_some()).min(scene.instances.len());
+    let own = if own == 0 { &scene.instances } else { &scene.instances[..own] };
+    own.iter().fold(Aabb::EMPTY, |bounds, instance| bounds.union(scene.instance_bounds(instance)))
+}
+
 /// How far below the scene's lowest point the ground lies when its height is not given, in scene radii: enough that it
 /// does not coincide with the undersides that stand on it.
 const GROUND_GAP: f32 = 1e-4;

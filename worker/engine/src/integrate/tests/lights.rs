@@ -210,11 +210,79 @@ fn probabilities_of_lights_add_up_to_one() {
     let packed = prepare(&scene, &settings);
     assert_eq!(packed.lights.len(), 5, "point, directional, two triangles, environment");
     assert_close(packed.lights.iter().map(|l| l.selection).sum(), 1.0, 1e-6);
-    assert_eq!(packed.light_cdf.last(), Some(&1.0));
+    assert_eq!(packed.light_cdf.last(), Some(&u32::MAX));
     assert!(packed.light_cdf.is_sorted());
     assert_eq!(packed.environment.light, 4);
     // Both halves of the lamp, and only the lamp, are known as lights.
     assert_eq!(packed.instances[0].emitter_base, NONE);
     let base = packed.instances[1].emitter_base as usize;
     assert_eq!(packed.emitter_lights[base..base + 2], [2, 3]);
+}
+
+/// A room that only a weak lamp lights, while a sun shines on its floor from below.
+#[test]
+fn a_bright_light_that_is_hidden_starves_no_other() {
+    let material = matte(0.5, 0.8);
+    let sun = PunctualLight { direction: Vec3::Z, ..light(PunctualKind::Directional, 1e5) };
+    for lamp in [light(PunctualKind::Point, 0.1), light(PunctualKind::Point, 100.0)] {
+        let intensity = lamp.intensity.x;
+        let scene = scene(vec![(square(), material.clone(), Affine3A::IDENTITY)]);
+        let mut settings = settings(Integrator::Direct, view(), 0.0);
+        settings.extra_lights = vec![sun.clone(), lamp];
+        let packed = prepare(&scene, &settings);
+        let expected = response(&packed, &settings, &material, Vec3::Z) * intensity / 4.0;
+        assert_close(mean(&packed, &settings).x, expected, 0.01);
+    }
+}
+
+#[test]
+fn nothing_right_before_a_light_is_overlooked() {
+    let before = Affine3A::from_scale_rotation_translation(
+        Vec3::splat(0.9),
+        Quat::IDENTITY,
+        Vec3::new(0.0, 0.0, 2.0 * (1.0 - 3e-5)),
+    );
+    let lamp = Affine3A::from_scale_rotation_translation(Vec3::splat(0.5), Quat::IDENTITY, Vec3::new(0.0, 0.0, 2.0));
+    for (punctual, area) in [(1.0, Vec3::ZERO), (0.0, Vec3::ONE)] {
+        let floor = (square(), matte(0.5, 1.0), Affine3A::IDENTITY);
+        let mut objects = vec![floor, (square(), glow(area), lamp)];
+        let mut settings = settings(Integrator::Whitted { max_bounces: 0 }, view(), 0.0);
+        if area == Vec3::ZERO {
+            objects.pop();
+        }
+        settings.extra_lights = vec![light(PunctualKind::Point, punctual)];
+        assert!(render(&scene(objects.clone()), &settings).x > 0.01);
+        objects.push((square(), matte(0.0, 1.0), before));
+        assert_eq!(render(&scene(objects), &settings), Vec3::ZERO);
+    }
+}
+
+#[test]
+fn the_ground_of_a_job_does_not_make_the_sky_weigh_more() {
+    let lamp = Affine3A::from_translation(Vec3::new(0.0, 0.0, 3.0));
+    let scene = scene(vec![(square(), glow(Vec3::ONE), lamp)]);
+    let mut settings = settings(Integrator::Direct, view(), 0.01);
+    let selection = |settings: &RenderSettings| {
+        let packed = prepare(&scene, settings);
+        packed.lights[packed.environment.light as usize].selection
+    };
+    let without = selection(&settings);
+    settings.ground =
+        Some(crate::settings::Ground { height: None, half_size: None, albedo: Vec3::ONE, roughness: 1.0 });
+    assert_eq!(selection(&settings), without);
+}
+
+#[test]
+fn only_primitives_that_emit_are_lights() {
+    let mut mesh = square();
+    mesh.slots = 2;
+    mesh.triangle_slots = vec![0, 1];
+    let mut scene = scene(vec![(mesh, matte(0.5, 1.0), Affine3A::IDENTITY)]);
+    scene.materials.push(glow(Vec3::ONE));
+    scene.instances[0].materials = [0, 1].into();
+    scene.instances.push(scene.instances[0].clone());
+    let packed = prepare(&scene, &settings(Integrator::Direct, view(), 0.0));
+    assert_eq!(packed.instance_materials, [0, 1], "instances share their list of materials");
+    assert_eq!(packed.emitter_lights, [NONE, 0, NONE, 1]);
+    assert_eq!(packed.lights.iter().map(|l| (l.instance, l.primitive)).collect::<Vec<_>>(), [(0, 1), (1, 1)]);
 }
