@@ -83,7 +83,7 @@ async fn a_worker_is_drained_called_back_and_forgotten() {
     browser.until("the state", &says("#present", "draining")).await;
     let drained = async || service.get("/v1/workers").await.json()["items"].to_string().contains("\"draining\":true");
     assert!(drained().await);
-    browser.click_on("#present", "Take tasks again, local-1").await;
+    browser.click_on("#present", "Take tasks again on local-1").await;
     browser.until("the state", "return !document.querySelector('#present').innerText.includes('draining')").await;
     assert!(!drained().await);
 
