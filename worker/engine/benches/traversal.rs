@@ -61,7 +61,7 @@ fn flatten(scene: &Scene) -> Mesh {
         positions.extend(from.positions.iter().map(|&p| instance.transform.transform_point3(p)));
         triangles.extend(from.triangles.iter().map(|t| t.map(|v| v + base)));
     }
-    mesh(positions, triangles)
+    mesh(positions, triangles, vec![])
 }
 
 fn run(name: &str, mesh: &Mesh, threads: usize) {

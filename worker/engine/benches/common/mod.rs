@@ -1,28 +1,15 @@
 //! The scene that the benchmarks measure on: a rough terrain with balls on it, about a million triangles.
 #![allow(dead_code, reason = "each benchmark uses its part")]
 
+#[path = "../../tests/common/meshes.rs"]
+mod meshes;
+
 use std::time::Instant;
 
 use glam::Vec3;
-use lightshaft_engine::scene::{Aabb, Mesh, MeshHash};
+use lightshaft_engine::scene::Mesh;
 
-/// SplitMix64: the same rays and the same terrain on every machine.
-pub(crate) struct Random(pub(crate) u64);
-
-impl Random {
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// In [0, 1).
-    pub(crate) fn unit(&mut self) -> f32 {
-        (self.next() >> 40) as f32 / (1 << 24) as f32
-    }
-}
+pub(crate) use meshes::{Random, mesh};
 
 /// 1,003,520 triangles, 20 units wide.
 pub(crate) fn terrain() -> Mesh {
@@ -54,7 +41,7 @@ pub(crate) fn terrain() -> Mesh {
         let radius = 0.3 + 0.6 * random.unit();
         ball(Vec3::new(x, height(x, z) + 0.8 * radius, z), radius, 84, &mut positions, &mut triangles);
     }
-    mesh(positions, triangles)
+    mesh(positions, triangles, vec![])
 }
 
 fn ball(center: Vec3, radius: f32, rings: u32, positions: &mut Vec<Vec3>, triangles: &mut Vec<[u32; 3]>) {
@@ -75,26 +62,6 @@ fn ball(center: Vec3, radius: f32, rings: u32, positions: &mut Vec<Vec3>, triang
             let [a, b] = [column, next].map(|column| base + ring * columns + column);
             triangles.extend([[a, b, a + columns], [b, b + columns, a + columns]]);
         }
-    }
-}
-
-pub(crate) fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Mesh {
-    let mut bounds = Aabb::EMPTY;
-    positions.iter().for_each(|&p| bounds.grow(p));
-    Mesh {
-        hash: MeshHash([1; 32]),
-        name: "terrain".into(),
-        triangle_slots: vec![0; triangles.len()],
-        positions,
-        triangles,
-        normals: vec![],
-        tangents: vec![],
-        uv0: vec![],
-        uv1: vec![],
-        colors: vec![],
-        spheres: vec![],
-        slots: 1,
-        bounds,
     }
 }
 

@@ -4,6 +4,7 @@
 //! contiguous range of [`Bvh2::primitives`]: a device may turn any subtree into a leaf.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::scene::Aabb;
 
@@ -99,22 +100,21 @@ impl Bvh2 {
         }
     }
 
-    /// Every box finite, not inverted and inside its parent's. Needs a tree that passed [`Self::check_topology`].
+    /// Every box finite, not inverted and inside its parent's. On a tree that fails [`Self::check_topology`] the answer
+    /// means nothing.
     pub(super) fn check_boxes(&self) -> Result<(), String> {
-        for (index, node) in self.nodes.iter().enumerate() {
+        self.nodes.par_iter().enumerate().with_min_len(4096).try_for_each(|(index, node)| {
             let ordered = (0..3).all(|k| node.min[k] <= node.max[k]);
             if !ordered || !node.min.iter().chain(&node.max).all(|value| value.is_finite()) {
                 return Err(format!("node {index} has the box {:?} to {:?}", node.min, node.max));
             }
-            if !node.is_leaf() {
-                for child in [index + 1, node.right_or_first as usize] {
-                    if !node.contains(&self.nodes[child]) {
-                        return Err(format!("node {child} sticks out of its parent {index}"));
-                    }
-                }
+            let children = [index + 1, node.right_or_first as usize];
+            let children = if node.is_leaf() { &[][..] } else { &children };
+            match children.iter().find(|&&child| self.nodes.get(child).is_none_or(|child| !node.contains(child))) {
+                Some(child) => Err(format!("node {child} sticks out of its parent {index}")),
+                None => Ok(()),
             }
-        }
-        Ok(())
+        })
     }
 
     /// Depth of the deepest leaf; the root alone has depth 0.

@@ -5,7 +5,10 @@
 
 mod build;
 pub(crate) mod bvh2;
+mod memory;
+pub mod overlap;
 mod store;
+mod stored;
 mod two_level;
 pub(crate) mod wide;
 
@@ -15,7 +18,7 @@ pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
 pub use two_level::{HitFilter, Placement, SceneAccel};
 
 use crate::scene::{Aabb, Mesh, MeshHash};
-use wide::WideBvh;
+use wide::{Role, WideBvh};
 
 /// Which structure, and how it is to be built. [`Self::canonical`] is its part of the cache key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -35,7 +38,7 @@ pub enum Quality {
 }
 
 /// Changes whenever a builder or a stored layout changes: old cache entries are then simply not found.
-pub const BUILDER_VERSION: u32 = 1;
+pub const BUILDER_VERSION: u32 = 2;
 
 /// The key of a structure in every cache.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -80,6 +83,8 @@ impl BuildParams {
 pub struct MeshStructure {
     mesh: MeshHash,
     bvh2: Bvh2,
+    /// What the nodes of `bvh2` are in `wide`.
+    roles: Vec<Role>,
     wide: WideBvh,
 }
 
@@ -89,12 +94,9 @@ impl MeshStructure {
     /// The mesh's indices must be in range. Primitives with a NaN or an infinity are left out.
     pub fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> Result<Self, BuildError> {
         let bvh2 = build::build(mesh, params, cancel)?;
-        Self::from_bvh2(bvh2, mesh, cancel)
-    }
-
-    fn from_bvh2(bvh2: Bvh2, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self, BuildError> {
-        let wide = WideBvh::over_mesh(&bvh2, mesh, cancel)?;
-        Ok(Self { mesh: mesh.hash, bvh2, wide })
+        let roles = WideBvh::choose(&bvh2, mesh, cancel)?;
+        let wide = WideBvh::over_mesh(&bvh2, &roles, mesh, cancel)?;
+        Ok(Self { mesh: mesh.hash, bvh2, roles, wide })
     }
 
     /// The mesh that the structure was built over.
@@ -109,19 +111,21 @@ impl MeshStructure {
 
     /// Memory that the structure takes, in bytes.
     pub fn bytes(&self) -> usize {
-        self.bvh2.bytes() + self.wide.bytes()
+        self.bvh2.bytes() + self.roles.len() + self.wide.bytes()
     }
 
     /// The stored form: header, checksum, little-endian arrays of the binary tree.
     pub fn encode(&self) -> Vec<u8> {
-        store::encode(self.mesh, &self.bvh2)
+        store::encode(self.mesh, &self.bvh2, &self.roles)
     }
 
-    /// Reads what [`Self::encode`] wrote for `mesh`. Checks header, version, checksum, mesh and every index before
-    /// anything is made of it. The wide tree is made anew: that takes less time than to read it would.
+    /// Reads what [`Self::encode`] wrote for `mesh`. Checks header, version, checksum, mesh, every index and every box
+    /// before anything is made of it.
     pub fn decode(bytes: &[u8], mesh: &Mesh) -> Result<Self, CorruptStructure> {
-        let bvh2 = store::decode(bytes, mesh).map_err(CorruptStructure)?;
-        Self::from_bvh2(bvh2, mesh, &AtomicBool::new(false)).map_err(|error| CorruptStructure(error.to_string()))
+        let (bvh2, roles) = store::decode(bytes, mesh).map_err(CorruptStructure)?;
+        let wide = WideBvh::over_mesh(&bvh2, &roles, mesh, &AtomicBool::new(false))
+            .map_err(|error| CorruptStructure(error.to_string()))?;
+        Ok(Self { mesh: mesh.hash, bvh2, roles, wide })
     }
 
     /// Checks that every primitive is referenced and lies in its leaves' boxes, that boxes are finite and nested, and

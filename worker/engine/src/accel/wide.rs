@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use super::BuildError;
 use super::build::check;
 use super::bvh2::{Bvh2, Bvh2Node};
+use super::memory::fresh;
 use crate::scene::Mesh;
 
 pub(crate) const WIDTH: usize = 8;
@@ -57,6 +58,15 @@ impl ChildRef {
         Self(Self::LEAF | (count - 1) << Self::COUNT_SHIFT | first)
     }
 
+    /// Stands for a leaf until its entries have their place; fewer than 2^31 - 1.
+    fn to_plan(leaf: usize) -> Self {
+        Self(Self::LEAF | leaf as u32)
+    }
+
+    fn planned_leaf(self) -> usize {
+        (self.0 & !Self::LEAF) as usize
+    }
+
     #[inline(always)]
     pub(crate) fn is_leaf(self) -> bool {
         self.0 & Self::LEAF != 0
@@ -91,18 +101,19 @@ pub(crate) struct WideBvh {
 }
 
 impl WideBvh {
-    pub(super) fn over_mesh(bvh2: &Bvh2, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self, BuildError> {
-        let triangle_count = mesh.triangles.len() as u32;
-        let packets_of = |primitives: &[u32]| {
-            let spheres =
-                if mesh.spheres.is_empty() { 0 } else { primitives.iter().filter(|&&p| p >= triangle_count).count() };
-            spheres.div_ceil(LANES) + (primitives.len() - spheres).div_ceil(LANES)
-        };
-        let (plan, leaves) = plan(bvh2, MAX_LEAF_PRIMITIVES, |primitives| packets_of(primitives) as u32, cancel)?;
+    /// What the nodes of a tree over a mesh are to become.
+    pub(super) fn choose(bvh2: &Bvh2, mesh: &Mesh, cancel: &AtomicBool) -> Result<Vec<Role>, BuildError> {
+        choose(bvh2, MAX_LEAF_PRIMITIVES, &|primitives| packets_of(primitives, mesh), cancel)
+    }
+
+    /// The wide tree with the nodes that were chosen.
+    pub(super) fn over_mesh(bvh2: &Bvh2, roles: &[Role], mesh: &Mesh, cancel: &AtomicBool) -> Result<Self, BuildError> {
+        let (plan, leaves) = plan(bvh2, roles, |primitives| packets_of(primitives, mesh))?;
+        check(cancel)?;
         let nodes = emit(&plan, bvh2, cancel)?;
         let mut packets = fresh(leaves.iter().map(|leaf| leaf.entries as usize).sum());
         fill_packets(&leaves, &mut packets, bvh2, mesh, cancel)?;
-        Ok(Self { nodes, packets, triangle_count })
+        Ok(Self { nodes, packets, triangle_count: mesh.triangles.len() as u32 })
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -110,13 +121,42 @@ impl WideBvh {
     }
 }
 
+/// Packets that some primitives fill: those of spheres and of triangles are apart.
+fn packets_of(primitives: &[u32], mesh: &Mesh) -> u32 {
+    let is_sphere = |primitive: &&u32| **primitive as usize >= mesh.triangles.len();
+    let spheres = if mesh.spheres.is_empty() { 0 } else { primitives.iter().filter(is_sphere).count() };
+    (spheres.div_ceil(LANES) + (primitives.len() - spheres).div_ceil(LANES)) as u32
+}
+
 /// The wide nodes over a tree of instances, and the instance of each leaf entry.
 pub(super) fn over_instances(bvh2: &Bvh2) -> Result<(Vec<Node>, Vec<u32>), BuildError> {
     // Each instance is entered for itself, which costs several node visits: leaves of one.
     let never = AtomicBool::new(false);
-    let (plan, leaves) = plan(bvh2, 1, |primitives| primitives.len() as u32, &never)?;
+    let entries = |primitives: &[u32]| primitives.len() as u32;
+    let roles = choose(bvh2, 1, &entries, &never)?;
+    let (plan, leaves) = plan(bvh2, &roles, entries)?;
     let entries = leaves.iter().flat_map(|leaf| leaf.primitives(bvh2)).copied().collect();
     Ok((emit(&plan, bvh2, &never)?, entries))
+}
+
+/// What a binary node is in the wide tree.
+#[repr(u8)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    /// Inside a wide node: only its descendants stand in slots.
+    Inside = 0,
+    /// In a slot that refers to a wide node of its own. So is the root, unless it is a leaf.
+    Node = 1,
+    /// In a slot that is a leaf with all primitives below.
+    Leaf = 2,
+    /// Below such a leaf.
+    Below = 3,
+}
+
+impl Role {
+    pub(super) fn from_byte(byte: u8) -> Option<Self> {
+        [Self::Inside, Self::Node, Self::Leaf, Self::Below].into_iter().find(|&role| role as u8 == byte)
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -128,7 +168,19 @@ struct PlannedNode {
 
 const NO_NODE: u32 = u32::MAX;
 
+impl PlannedNode {
+    const EMPTY: Self = Self { sources: [NO_NODE; WIDTH], children: [ChildRef::UNUSED; WIDTH] };
+
+    /// Puts a binary node into the next free slot; none where all are taken.
+    fn add(&mut self, source: usize, child: ChildRef) -> Option<()> {
+        let slot = self.sources.iter().position(|&source| source == NO_NODE)?;
+        (self.sources[slot], self.children[slot]) = (source as u32, child);
+        Some(())
+    }
+}
+
 /// A subtree that became a leaf.
+#[derive(Clone, Copy)]
 struct Leaf {
     /// Range in [`Bvh2::primitives`].
     first: u32,
@@ -155,66 +207,127 @@ struct Choice {
     count: u32,
 }
 
-/// Chooses wide nodes and leaves, in depth-first order. `entries` says how many leaf entries some primitives need.
-fn plan(
+/// The cheapest wide tree with leaves of at most `max_leaf` primitives. `entries` says how many leaf entries some
+/// primitives need.
+fn choose(
     bvh2: &Bvh2,
     max_leaf: u32,
-    entries: impl Fn(&[u32]) -> u32 + Sync,
+    entries: &(impl Fn(&[u32]) -> u32 + Sync),
     cancel: &AtomicBool,
-) -> Result<(Vec<PlannedNode>, Vec<Leaf>), BuildError> {
+) -> Result<Vec<Role>, BuildError> {
     if bvh2.nodes.is_empty() {
-        return Ok((Vec::new(), Vec::new()));
+        return Ok(Vec::new());
     }
-    let choices = Chooser::new(bvh2, max_leaf, &entries, cancel).choose()?;
-    let mut nodes: Vec<PlannedNode> = Vec::with_capacity(bvh2.nodes.len() / 6 + 1);
-    let mut leaves = Vec::with_capacity(bvh2.nodes.len() / 2 + 1);
-    let mut next_entry = 0_u32;
-    // (binary node, slot that refers to it)
-    let mut pending: Vec<(u32, Option<(usize, usize)>)> = vec![(0, None)];
-    while let Some((source, from)) = pending.pop() {
-        let number = nodes.len();
-        if number.is_multiple_of(CHECKED_NODES) {
-            check(cancel)?;
-        }
-        if let Some((parent, slot)) = from {
-            nodes[parent].children[slot] = ChildRef(number as u32);
-        }
-        let mut sources = [NO_NODE; WIDTH];
-        let mut used = 0;
-        if choices[source as usize].is_leaf {
-            // Only the root of a tiny tree.
-            sources[0] = source;
-            used = 1;
+    let choices = Chooser::new(bvh2, max_leaf, entries, cancel).choose()?;
+    // Whatever no wide node distributes to a slot is inside of one, or below a leaf.
+    let mut roles = vec![Role::Inside; bvh2.nodes.len()];
+    let mut pending = vec![0_u32];
+    while let Some(node) = pending.pop() {
+        if choices[node as usize].is_leaf {
+            roles[node as usize] = Role::Leaf;
         } else {
-            distribute(bvh2, &choices, source, WIDTH, &mut |child| {
-                sources[used] = child;
-                used += 1;
-            });
-        }
-        let mut node = PlannedNode { sources, children: [ChildRef::UNUSED; WIDTH] };
-        for slot in 0..used {
-            let choice = &choices[sources[slot] as usize];
-            if choice.is_leaf {
-                let primitives = &bvh2.primitives[choice.first as usize..(choice.first + choice.count) as usize];
-                let entries = entries(primitives);
-                if next_entry + entries > ChildRef::FIRST_MASK || entries > ChildRef::MAX_COUNT {
-                    return Err(BuildError::Unsupported(format!(
-                        "a structure holds at most {} leaf entries, {} in one leaf",
-                        ChildRef::FIRST_MASK,
-                        ChildRef::MAX_COUNT
-                    )));
-                }
-                node.children[slot] = ChildRef::leaf(next_entry, entries);
-                leaves.push(Leaf { first: choice.first, count: choice.count, entries });
-                next_entry += entries;
-            }
-        }
-        nodes.push(node);
-        for slot in (0..used).rev().filter(|&slot| !choices[sources[slot] as usize].is_leaf) {
-            pending.push((sources[slot], Some((number, slot))));
+            roles[node as usize] = Role::Node;
+            distribute(bvh2, &choices, node, WIDTH, &mut |child| pending.push(child));
         }
     }
+    let mut below = Vec::new();
+    for (index, node) in bvh2.nodes.iter().enumerate() {
+        let is_below = below.pop().unwrap_or(false);
+        if is_below {
+            roles[index] = Role::Below;
+        }
+        if !node.is_leaf() {
+            let children_are = is_below || roles[index] == Role::Leaf;
+            below.extend([children_are; 2]);
+        }
+    }
+    Ok(roles)
+}
+
+/// Wide nodes and leaves by their roles, in depth-first order, for a tree that passed [`Bvh2::check_topology`].
+///
+/// # Errors
+/// [`BuildError::Unsupported`] for roles that make no wide tree, and for more leaf entries than can be numbered.
+fn plan(
+    bvh2: &Bvh2,
+    roles: &[Role],
+    entries: impl Fn(&[u32]) -> u32,
+) -> Result<(Vec<PlannedNode>, Vec<Leaf>), BuildError> {
+    /// Under what a node stands.
+    #[derive(Clone, Copy)]
+    enum Owner {
+        Nothing,
+        Node(usize),
+        Leaf(usize),
+    }
+    let wrong = |index: usize| BuildError::Unsupported(format!("node {index} has the wrong role in the wide tree"));
+    if roles.len() != bvh2.nodes.len() {
+        return Err(BuildError::Unsupported(format!("{} roles for {} nodes", roles.len(), bvh2.nodes.len())));
+    }
+    let mut nodes: Vec<PlannedNode> = Vec::with_capacity(bvh2.nodes.len() / 6 + 1);
+    let mut leaves: Vec<Leaf> = Vec::with_capacity(bvh2.nodes.len() / 2 + 1);
+    // For each node that is still to come, the next one last.
+    let mut owners = vec![Owner::Nothing];
+    for (index, (node, &role)) in bvh2.nodes.iter().zip(roles).enumerate() {
+        let owner = owners.pop().ok_or_else(|| wrong(index))?;
+        let children_owner = match (role, owner) {
+            (Role::Inside, Owner::Node(_)) if !node.is_leaf() => owner,
+            (Role::Node, Owner::Nothing | Owner::Node(_)) if !node.is_leaf() => {
+                let number = nodes.len();
+                if let Owner::Node(parent) = owner {
+                    nodes[parent].add(index, ChildRef(number as u32)).ok_or_else(|| wrong(index))?;
+                }
+                nodes.push(PlannedNode::EMPTY);
+                Owner::Node(number)
+            }
+            (Role::Leaf, Owner::Nothing | Owner::Node(_)) => {
+                // Only the root of a tiny tree has no node above it.
+                let parent = if let Owner::Node(parent) = owner { parent } else { nodes.len() };
+                nodes.resize(nodes.len().max(parent + 1), PlannedNode::EMPTY);
+                nodes[parent].add(index, ChildRef::to_plan(leaves.len())).ok_or_else(|| wrong(index))?;
+                leaves.push(Leaf { first: u32::MAX, count: 0, entries: 0 });
+                Owner::Leaf(leaves.len() - 1)
+            }
+            (Role::Below, Owner::Leaf(_)) => owner,
+            _ => return Err(wrong(index)),
+        };
+        if !node.is_leaf() {
+            owners.extend([children_owner; 2]);
+        } else if let Owner::Leaf(leaf) = children_owner {
+            leaves[leaf].first = leaves[leaf].first.min(node.right_or_first);
+            leaves[leaf].count += node.count;
+        }
+    }
+    let leaves = number_entries(&mut nodes, leaves, |leaf| entries(leaf.primitives(bvh2)))?;
     Ok((nodes, leaves))
+}
+
+/// Gives leaves their places among the leaf entries, those of a wide node together; the leaves in that order.
+fn number_entries(
+    nodes: &mut [PlannedNode],
+    mut leaves: Vec<Leaf>,
+    entries: impl Fn(&Leaf) -> u32,
+) -> Result<Vec<Leaf>, BuildError> {
+    let mut ordered = Vec::with_capacity(leaves.len());
+    let mut next_entry = 0_u32;
+    for child in nodes.iter_mut().flat_map(|node| &mut node.children) {
+        if *child == ChildRef::UNUSED || !child.is_leaf() {
+            continue;
+        }
+        let leaf = &mut leaves[child.planned_leaf()];
+        leaf.entries = entries(leaf);
+        if next_entry + leaf.entries > ChildRef::FIRST_MASK || leaf.entries > ChildRef::MAX_COUNT {
+            return Err(BuildError::Unsupported(format!(
+                "a structure holds at most {} leaf entries, {} in one leaf",
+                ChildRef::FIRST_MASK,
+                ChildRef::MAX_COUNT
+            )));
+        }
+        *child = ChildRef::leaf(next_entry, leaf.entries);
+        next_entry += leaf.entries;
+        ordered.push(*leaf);
+    }
+    Ok(ordered)
 }
 
 /// The dynamic programme, from the leaves up.
@@ -419,7 +532,7 @@ fn fill_packets(
 }
 
 /// Puts a primitive into a lane and, without its number, into all lanes behind.
-fn set_lanes(packet: &mut Packet, lane: usize, primitive: u32, mesh: &Mesh) {
+pub(super) fn set_lanes(packet: &mut Packet, lane: usize, primitive: u32, mesh: &Mesh) {
     let mut values = [0.0; 9];
     if let Some(triangle) = mesh.triangles.get(primitive as usize) {
         for (row, value) in triangle.iter().flat_map(|&v| mesh.positions[v as usize].to_array()).enumerate() {
@@ -436,27 +549,3 @@ fn set_lanes(packet: &mut Packet, lane: usize, primitive: u32, mesh: &Mesh) {
     packet.ids[lane] = primitive;
     packet.ids[lane + 1..].fill(NO_PRIMITIVE);
 }
-
-/// Zeroed elements, in huge pages where the system lends them: a walk touches memory all over the structure, and
-/// with small pages a good part of it would be address translation.
-fn fresh<T: Copy + Zeroable>(len: usize) -> Vec<T> {
-    let mut elements = Vec::with_capacity(len);
-    advise_huge_pages(&elements);
-    elements.resize(len, T::zeroed());
-    elements
-}
-
-#[cfg(target_os = "linux")]
-fn advise_huge_pages<T>(elements: &Vec<T>) {
-    const HUGE: usize = 2 << 20;
-    let start = (elements.as_ptr() as usize).next_multiple_of(HUGE);
-    let end = elements.as_ptr() as usize + elements.capacity() * size_of::<T>();
-    if start + HUGE <= end {
-        // SAFETY: the range lies inside this vector's own allocation, and the advice never changes what memory holds.
-        // Where the kernel declines, small pages serve as well.
-        unsafe { libc::madvise(start as *mut libc::c_void, (end - start) & !(HUGE - 1), libc::MADV_HUGEPAGE) };
-    }
-}
-
-#[cfg(not(target_os = "linux"))]
-fn advise_huge_pages<T>(_elements: &Vec<T>) {}

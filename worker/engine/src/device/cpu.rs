@@ -10,11 +10,11 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::{Device, DeviceError, DeviceInfo, Pass, PassStats, Region, Renderer, Watch};
-use crate::film::{AovBuffers, AovLayer, PassFilm};
-use crate::integrate::aov::{FirstHit, first_hit};
+use crate::film::{AovBuffers, PassFilm};
+use crate::integrate::aov::first_hit;
 use crate::integrate::{Sample, Tally, radiance};
 use crate::pack::PackedScene;
-use crate::settings::{Aov, Integrator, RenderSettings};
+use crate::settings::{Integrator, RenderSettings};
 
 /// Side of a tile in pixels.
 const TILE: u32 = 16;
@@ -69,7 +69,7 @@ struct CpuRenderer {
 
 impl Renderer for CpuRenderer {
     fn render(&mut self, pass: &Pass, film: &mut PassFilm, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
-        check_region(pass.region, film.region)?;
+        pass.region.check_within(film.region)?;
         let last = pass.first_sample.checked_add(pass.samples);
         let last = last.ok_or_else(|| DeviceError::Other("the pass counts its samples past 32 bits".into()))?;
         let started = Instant::now();
@@ -87,7 +87,9 @@ impl Renderer for CpuRenderer {
         let mut stats = PassStats::default();
         for tile in tiles {
             add(&mut stats, &tile.tally);
-            tile.for_each(film.region, |i, value| (0..3).for_each(|c| film.sum[i][c] += value[c]));
+            for (i, value) in tile.region.places_in(film.region).zip(&tile.values) {
+                (0..3).for_each(|c| film.sum[i][c] += value[c]);
+            }
         }
         film.samples += pass.samples;
         stats.seconds = started.elapsed().as_secs_f64();
@@ -95,17 +97,14 @@ impl Renderer for CpuRenderer {
     }
 
     fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
-        check_region(region, out.region)?;
+        region.check_within(out.region)?;
         let started = Instant::now();
         let scene = &*self.scene;
         let tiles = for_tiles(region, watch, |x, y, tally| first_hit(scene, x, y, tally))?;
         let mut stats = PassStats::default();
-        let target = out.region;
         for tile in tiles {
             add(&mut stats, &tile.tally);
-            for (aov, layer) in &mut out.layers {
-                tile.for_each(target, |i, hit| store(*aov, layer, i, hit));
-            }
+            out.store_hits(tile.region, &tile.values);
         }
         stats.seconds = started.elapsed().as_secs_f64();
         Ok(stats)
@@ -121,29 +120,10 @@ fn add(stats: &mut PassStats, tally: &Tally) {
     stats.counters += tally.counters;
 }
 
-/// The pass must lie within what the film covers.
-fn check_region(inner: Region, outer: Region) -> Result<(), DeviceError> {
-    if outer.contains(inner) {
-        return Ok(());
-    }
-    Err(DeviceError::Other(format!("the pass covers {inner:?}, the film {outer:?}")))
-}
-
 struct Tile<T> {
     region: Region,
     values: Vec<T>,
     tally: Tally,
-}
-
-impl<T> Tile<T> {
-    /// Each value with its place in a row-major buffer over `target`.
-    fn for_each(&self, target: Region, mut f: impl FnMut(usize, &T)) {
-        for (k, value) in self.values.iter().enumerate() {
-            let x = (self.region.x - target.x) as usize + k % self.region.width as usize;
-            let y = (self.region.y - target.y) as usize + k / self.region.width as usize;
-            f(y * target.width as usize + x, value);
-        }
-    }
 }
 
 /// Evaluates every pixel of `region`, tile by tile; `watch` is asked at every pixel, which costs less than one ray.
@@ -183,30 +163,6 @@ fn for_tiles<T: Send>(
     tiles.into_iter().collect::<Option<Vec<_>>>().ok_or(DeviceError::Cancelled)
 }
 
-fn store(aov: Aov, layer: &mut AovLayer, i: usize, hit: &FirstHit) {
-    match layer {
-        AovLayer::Scalar(values) => values[i] = hit.depth,
-        AovLayer::Vector(values) => {
-            values[i] = match aov {
-                Aov::Position => hit.position,
-                Aov::GeometricNormal => hit.geometric_normal,
-                Aov::ShadingNormal => hit.shading_normal,
-                _ => hit.albedo,
-            }
-            .to_array();
-        }
-        AovLayer::Integer(values) => {
-            values[i] = match aov {
-                Aov::InstanceId => hit.instance,
-                Aov::PrimitiveId => hit.primitive,
-                Aov::MaterialId => hit.material,
-                Aov::BoxTests => hit.box_tests,
-                _ => hit.triangle_tests,
-            };
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::AtomicUsize;
@@ -214,8 +170,9 @@ mod tests {
     use glam::{Affine3A, Vec3};
 
     use super::*;
-    use crate::film::{decode_part, encode_part, merge_aovs, merge_films};
+    use crate::film::{AovLayer, decode_part, encode_part, merge_aovs, merge_films};
     use crate::integrate::tests::{camera, glow, matte, prepare, scene, settings, sphere, square};
+    use crate::settings::Aov;
 
     fn job() -> (Arc<PackedScene>, RenderSettings) {
         let lamp = Affine3A::from_translation(Vec3::new(0.5, 1.0, 3.0));

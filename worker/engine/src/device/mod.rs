@@ -71,6 +71,23 @@ impl Region {
             && end(inner.x, inner.width) <= end(self.x, self.width)
             && end(inner.y, inner.height) <= end(self.y, self.height)
     }
+
+    /// The error of a pass that does not lie within what its film covers.
+    fn check_within(self, outer: Self) -> Result<(), DeviceError> {
+        if outer.contains(self) && u32::try_from(self.pixels()).is_ok() {
+            return Ok(());
+        }
+        Err(DeviceError::Other(format!("the pass covers {self:?}, the film {outer:?}")))
+    }
+
+    /// For each pixel, row by row, its place in a row-major buffer over `target`, which must contain this region.
+    pub(crate) fn places_in(self, target: Self) -> impl Iterator<Item = usize> {
+        let first = (self.y - target.y) as usize * target.width as usize + (self.x - target.x) as usize;
+        (0..self.height as usize).flat_map(move |row| {
+            let start = first + row * target.width as usize;
+            start..start + self.width as usize
+        })
+    }
 }
 
 /// Samples `first_sample .. first_sample + samples` of every pixel in `region`.

@@ -13,6 +13,7 @@ pub use png::encode_png;
 pub use tonemap::{ToneMap, linear_to_srgb, to_srgb8};
 
 use crate::device::Region;
+use crate::integrate::aov::FirstHit;
 use crate::settings::Aov;
 
 /// A picture that could not be encoded.
@@ -83,5 +84,14 @@ impl AovBuffers {
             })
             .collect();
         Self { region, layers }
+    }
+
+    /// Writes what the pixels of `region`, which lies within this one, see first; row-major.
+    pub(crate) fn store_hits(&mut self, region: Region, hits: &[FirstHit]) {
+        for (aov, layer) in &mut self.layers {
+            for (i, hit) in region.places_in(self.region).zip(hits) {
+                hit.store(*aov, layer, i);
+            }
+        }
     }
 }

@@ -3,34 +3,79 @@
 //! Layers look through pixel centres and see blended surfaces where their alpha is at least a half, so that they carry
 //! no noise.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use super::alpha::{AlphaFilter, SEED_HALF};
 use super::camera::camera_ray;
 use super::surface::{hit_point, shade_point};
 use super::{Sample, Tally, primary_ray};
-use crate::pack::PackedScene;
+use crate::film::AovLayer;
+use crate::pack::{NONE, PackedScene};
+use crate::settings::Aov;
 use crate::trace::Counters;
 
-/// All quantities of one pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// All quantities of one pixel, in the layout of `shaders/first_hit.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct FirstHit {
+    /// Vectors are zero on a miss.
+    pub position: Vec3,
     /// Planar: the world-space distance from the camera along its forward axis, not along the ray, as compositors read
     /// `Z`; infinite on a miss.
     pub depth: f32,
-    /// Vectors are zero on a miss.
-    pub position: Vec3,
     /// On the camera's side.
     pub geometric_normal: Vec3,
+    /// Ids are [`NONE`] on a miss.
+    pub instance: u32,
     pub shading_normal: Vec3,
+    pub primitive: u32,
     /// Linear base colour.
     pub albedo: Vec3,
-    /// Ids are `u32::MAX` on a miss.
-    pub instance: u32,
-    pub primitive: u32,
     pub material: u32,
     pub box_tests: u32,
-    pub triangle_tests: u32,
+    pub primitive_tests: u32,
+    _pad: [u32; 2],
+}
+const _: () = assert!(size_of::<FirstHit>() == 80);
+
+impl FirstHit {
+    fn miss(counters: Counters) -> Self {
+        Self {
+            depth: f32::INFINITY,
+            instance: NONE,
+            primitive: NONE,
+            material: NONE,
+            box_tests: u32::try_from(counters.box_tests).unwrap_or(u32::MAX),
+            primitive_tests: u32::try_from(counters.triangle_tests).unwrap_or(u32::MAX),
+            ..Self::zeroed()
+        }
+    }
+
+    /// Writes the quantity of one layer to its place `i`.
+    pub(crate) fn store(&self, aov: Aov, layer: &mut AovLayer, i: usize) {
+        match layer {
+            AovLayer::Scalar(values) => values[i] = self.depth,
+            AovLayer::Vector(values) => {
+                values[i] = match aov {
+                    Aov::Position => self.position,
+                    Aov::GeometricNormal => self.geometric_normal,
+                    Aov::ShadingNormal => self.shading_normal,
+                    _ => self.albedo,
+                }
+                .to_array();
+            }
+            AovLayer::Integer(values) => {
+                values[i] = match aov {
+                    Aov::InstanceId => self.instance,
+                    Aov::PrimitiveId => self.primitive,
+                    Aov::MaterialId => self.material,
+                    Aov::BoxTests => self.box_tests,
+                    _ => self.primitive_tests,
+                };
+            }
+        }
+    }
 }
 
 /// What the ray through the centre of pixel `(x, y)` meets.
@@ -40,18 +85,7 @@ pub fn first_hit(scene: &PackedScene, x: u32, y: u32, tally: &mut Tally) -> Firs
     let hit = scene.accel.closest(&ray, &AlphaFilter { scene, seed: SEED_HALF }, &mut counters);
     tally.rays.primary += 1;
     tally.counters += counters;
-    let mut out = FirstHit {
-        depth: f32::INFINITY,
-        position: Vec3::ZERO,
-        geometric_normal: Vec3::ZERO,
-        shading_normal: Vec3::ZERO,
-        albedo: Vec3::ZERO,
-        instance: u32::MAX,
-        primitive: u32::MAX,
-        material: u32::MAX,
-        box_tests: u32::try_from(counters.box_tests).unwrap_or(u32::MAX),
-        triangle_tests: u32::try_from(counters.triangle_tests).unwrap_or(u32::MAX),
-    };
+    let mut out = FirstHit::miss(counters);
     if let Some(hit) = hit {
         let surface = shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction);
         out.depth = hit.t * ray.direction.dot(Vec3::from_array(scene.camera.forward));

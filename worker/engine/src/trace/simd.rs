@@ -45,6 +45,54 @@ pub(crate) trait Isa: Copy {
     ) -> usize;
 }
 
+/// Writes an `impl Lanes` from one expression for each operation.
+macro_rules! implement_lanes {
+    (
+        [$($generics:tt)*] $type:ty, [f32; $n:tt];
+        splat |$value:ident| $splat:expr;
+        load |$values:ident| $load:expr;
+        store |$stored:ident| $store:expr;
+        sqrt |$radicand:ident| $sqrt:expr;
+        $(vector $vector:ident |$va:ident, $vb:ident| $vector_body:expr;)*
+        $(mask $mask:ident |$ma:ident, $mb:ident| $mask_body:expr;)*
+    ) => {
+        impl<$($generics)*> Lanes<$n> for $type {
+            #[inline(always)]
+            fn splat($value: f32) -> Self {
+                $splat
+            }
+            #[inline(always)]
+            fn load($values: &[f32; $n]) -> Self {
+                $load
+            }
+            #[inline(always)]
+            fn store(self) -> [f32; $n] {
+                let $stored = self;
+                $store
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                let $radicand = self;
+                $sqrt
+            }
+            $(
+                #[inline(always)]
+                fn $vector(self, other: Self) -> Self {
+                    let ($va, $vb) = (self, other);
+                    $vector_body
+                }
+            )*
+            $(
+                #[inline(always)]
+                fn $mask(self, other: Self) -> u32 {
+                    let ($ma, $mb) = (self, other);
+                    $mask_body
+                }
+            )*
+        }
+    };
+}
+
 /// Plain Rust.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable;
@@ -64,55 +112,20 @@ impl<const N: usize> Plain<N> {
     }
 }
 
-impl<const N: usize> Lanes<N> for Plain<N> {
-    #[inline(always)]
-    fn splat(value: f32) -> Self {
-        Self([value; N])
-    }
-    #[inline(always)]
-    fn load(values: &[f32; N]) -> Self {
-        Self(*values)
-    }
-    #[inline(always)]
-    fn store(self) -> [f32; N] {
-        self.0
-    }
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.zip(other, |a, b| a + b)
-    }
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.zip(other, |a, b| a - b)
-    }
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.zip(other, |a, b| a * b)
-    }
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        self.zip(other, |a, b| a / b)
-    }
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        Self(self.0.map(f32::sqrt))
-    }
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        self.zip(other, |a, b| if a < b { a } else { b })
-    }
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        self.zip(other, |a, b| if a > b { a } else { b })
-    }
-    #[inline(always)]
-    fn less(self, other: Self) -> u32 {
-        self.compare(other, |a, b| a < b)
-    }
-    #[inline(always)]
-    fn less_or_equal(self, other: Self) -> u32 {
-        self.compare(other, |a, b| a <= b)
-    }
+implement_lanes! {
+    [const N: usize] Plain<N>, [f32; N];
+    splat |value| Self([value; N]);
+    load |values| Self(*values);
+    store |a| a.0;
+    sqrt |a| Self(a.0.map(f32::sqrt));
+    vector add |a, b| a.zip(b, |a, b| a + b);
+    vector sub |a, b| a.zip(b, |a, b| a - b);
+    vector mul |a, b| a.zip(b, |a, b| a * b);
+    vector div |a, b| a.zip(b, |a, b| a / b);
+    vector min |a, b| a.zip(b, |a, b| if a < b { a } else { b });
+    vector max |a, b| a.zip(b, |a, b| if a > b { a } else { b });
+    mask less |a, b| a.compare(b, |a, b| a < b);
+    mask less_or_equal |a, b| a.compare(b, |a, b| a <= b);
 }
 
 impl Isa for Portable {
@@ -183,67 +196,37 @@ mod x86 {
         table
     };
 
-    macro_rules! lanes {
-        ($name:ident, $n:literal, $set1:ident, $load:ident, $store:ident, $add:ident, $sub:ident, $mul:ident, $div:ident,
+    /// Vectors of one width, by the names of their intrinsics.
+    macro_rules! vectors {
+        ($type:ident, $n:tt, $set1:ident, $load:ident, $store:ident, $add:ident, $sub:ident, $mul:ident, $div:ident,
          $sqrt:ident, $min:ident, $max:ident, $cmp:ident, $movemask:ident) => {
             // SAFETY (all of them): AVX2 is there, see `Avx2`; arrays of the vector's size are read and written
             // unaligned.
             #[allow(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
-            impl Lanes<$n> for $name {
-                #[inline(always)]
-                fn splat(value: f32) -> Self {
-                    Self(unsafe { $set1(value) })
+            const _: () = {
+                implement_lanes! {
+                    [] $type, [f32; $n];
+                    splat |value| Self(unsafe { $set1(value) });
+                    load |values| Self(unsafe { $load(values.as_ptr()) });
+                    store |a| {
+                        let mut values = [0.0; $n];
+                        unsafe { $store(values.as_mut_ptr(), a.0) };
+                        values
+                    };
+                    sqrt |a| Self(unsafe { $sqrt(a.0) });
+                    vector add |a, b| Self(unsafe { $add(a.0, b.0) });
+                    vector sub |a, b| Self(unsafe { $sub(a.0, b.0) });
+                    vector mul |a, b| Self(unsafe { $mul(a.0, b.0) });
+                    vector div |a, b| Self(unsafe { $div(a.0, b.0) });
+                    vector min |a, b| Self(unsafe { $min(a.0, b.0) });
+                    vector max |a, b| Self(unsafe { $max(a.0, b.0) });
+                    mask less |a, b| unsafe { $movemask($cmp::<_CMP_LT_OQ>(a.0, b.0)) as u32 };
+                    mask less_or_equal |a, b| unsafe { $movemask($cmp::<_CMP_LE_OQ>(a.0, b.0)) as u32 };
                 }
-                #[inline(always)]
-                fn load(values: &[f32; $n]) -> Self {
-                    Self(unsafe { $load(values.as_ptr()) })
-                }
-                #[inline(always)]
-                fn store(self) -> [f32; $n] {
-                    let mut values = [0.0; $n];
-                    unsafe { $store(values.as_mut_ptr(), self.0) };
-                    values
-                }
-                #[inline(always)]
-                fn add(self, other: Self) -> Self {
-                    Self(unsafe { $add(self.0, other.0) })
-                }
-                #[inline(always)]
-                fn sub(self, other: Self) -> Self {
-                    Self(unsafe { $sub(self.0, other.0) })
-                }
-                #[inline(always)]
-                fn mul(self, other: Self) -> Self {
-                    Self(unsafe { $mul(self.0, other.0) })
-                }
-                #[inline(always)]
-                fn div(self, other: Self) -> Self {
-                    Self(unsafe { $div(self.0, other.0) })
-                }
-                #[inline(always)]
-                fn sqrt(self) -> Self {
-                    Self(unsafe { $sqrt(self.0) })
-                }
-                #[inline(always)]
-                fn min(self, other: Self) -> Self {
-                    Self(unsafe { $min(self.0, other.0) })
-                }
-                #[inline(always)]
-                fn max(self, other: Self) -> Self {
-                    Self(unsafe { $max(self.0, other.0) })
-                }
-                #[inline(always)]
-                fn less(self, other: Self) -> u32 {
-                    unsafe { $movemask($cmp::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
-                }
-                #[inline(always)]
-                fn less_or_equal(self, other: Self) -> u32 {
-                    unsafe { $movemask($cmp::<_CMP_LE_OQ>(self.0, other.0)) as u32 }
-                }
-            }
+            };
         };
     }
-    lanes!(
+    vectors!(
         F4,
         4,
         _mm_set1_ps,
@@ -259,7 +242,7 @@ mod x86 {
         _mm_cmp_ps,
         _mm_movemask_ps
     );
-    lanes!(
+    vectors!(
         F8,
         8,
         _mm256_set1_ps,

@@ -2,9 +2,10 @@
 //!
 //! [`build`] sorts primitives top-down by the surface area heuristic: object splits over bins ([`object`], Wald 2007,
 //! "On fast construction of SAH-based bounding volume hierarchies"), and on request spatial splits ([`spatial`]). Large
-//! nodes are split in parallel. What is built never depends on the number of threads.
+//! nodes are split in parallel; the best quality then moves subtrees ([`reinsertion`]). What is built never depends on the number of threads.
 
 mod object;
+mod reinsertion;
 mod spatial;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,6 +26,8 @@ pub(super) struct Options {
     pub bins: usize,
     /// Nodes with more primitives are always split.
     pub max_leaf: usize,
+    /// Improve the tree by reinsertion.
+    pub reinsert: bool,
 }
 
 impl Options {
@@ -34,7 +37,7 @@ impl Options {
             Quality::Medium => 16,
             Quality::High => 32,
         };
-        Self { bins, max_leaf: 4 }
+        Self { bins, max_leaf: 4, reinsert: params.quality == Quality::High }
     }
 }
 
@@ -63,7 +66,7 @@ pub(super) fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> R
 /// The tree over given boxes: box `i` is primitive `i`. Empty boxes are left out.
 pub(super) fn build_over_boxes(boxes: &[Aabb], max_leaf: usize) -> Bvh2 {
     let refs = (0_u32..).zip(boxes).filter(|(_, b)| !b.is_empty()).map(|(i, b)| PrimRef::new(*b, i)).collect();
-    let options = Options { bins: 16, max_leaf };
+    let options = Options { bins: 16, max_leaf, reinsert: false };
     build_over(refs, None, &options, &AtomicBool::new(false)).expect("nobody cancels")
 }
 
@@ -80,12 +83,16 @@ fn build_over(
     let context = object::Context { options, cancel };
     let scale = normalising_scale(&refs);
     if let (Some(mesh), 1.0) = (splittable, scale) {
-        return Ok(spatial::SpatialContext::build(context, mesh, refs)?.flatten());
+        let tree = spatial::SpatialContext::build(context, mesh, refs)?.flatten();
+        return if options.reinsert { reinsertion::optimize(tree, cancel) } else { Ok(tree) };
     }
     if scale != 1.0 {
         refs.iter_mut().for_each(|r| r.scale(scale));
     }
     let mut tree = context.build(&mut refs)?.flatten();
+    if options.reinsert {
+        tree = reinsertion::optimize(tree, cancel)?;
+    }
     if scale != 1.0 {
         refs.iter_mut().for_each(|r| r.scale(1.0 / scale));
         refit(&mut tree, &refs);

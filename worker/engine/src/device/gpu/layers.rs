@@ -1,64 +1,12 @@
 //! First-hit layers: one stage that traces and shades rays through pixel centres.
 
-use bytemuck::{Pod, Zeroable};
-
 use super::renderer::Resident;
 use super::scene::Wave;
 use super::stages::{Run, compose_trace};
 use super::tracer::WORKGROUP;
 use crate::device::{DeviceError, Region};
-use crate::film::AovLayer;
+use crate::integrate::aov::FirstHit;
 use crate::pack::NONE;
-use crate::settings::Aov;
-use crate::trace::Counters;
-
-/// Mirror of `FirstHit` in `shaders/first_hit.wgsl`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub(super) struct FirstHit {
-    pub position: [f32; 3],
-    pub depth: f32,
-    pub geometric_normal: [f32; 3],
-    pub instance: u32,
-    pub shading_normal: [f32; 3],
-    pub primitive: u32,
-    pub albedo: [f32; 3],
-    pub material: u32,
-    pub box_tests: u32,
-    pub primitive_tests: u32,
-    _pad: [u32; 2],
-}
-const _: () = assert!(size_of::<FirstHit>() == 80);
-
-impl FirstHit {
-    pub(super) fn counters(&self) -> Counters {
-        Counters { box_tests: self.box_tests.into(), triangle_tests: self.primitive_tests.into() }
-    }
-
-    /// Writes the quantity of one layer.
-    pub(super) fn store(&self, aov: Aov, layer: &mut AovLayer, i: usize) {
-        match layer {
-            AovLayer::Scalar(values) => values[i] = self.depth,
-            AovLayer::Vector(values) => {
-                values[i] = match aov {
-                    Aov::Position => self.position,
-                    Aov::GeometricNormal => self.geometric_normal,
-                    Aov::ShadingNormal => self.shading_normal,
-                    _ => self.albedo,
-                }
-            }
-            AovLayer::Integer(values) => {
-                values[i] = match aov {
-                    Aov::InstanceId => self.instance,
-                    Aov::PrimitiveId => self.primitive,
-                    Aov::MaterialId => self.material,
-                    Aov::BoxTests => self.box_tests,
-                    _ => self.primitive_tests,
-                }
-            }
-        }
-    }
-}
 
 pub(super) struct Layers {
     pipeline: wgpu::ComputePipeline,

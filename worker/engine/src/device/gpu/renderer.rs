@@ -12,6 +12,7 @@ use crate::device::{DeviceError, Pass, PassStats, RayCounts, Region, Renderer, W
 use crate::film::{AovBuffers, PassFilm};
 use crate::pack::{NONE, PackedScene};
 use crate::settings::{Integrator, RenderSettings};
+use crate::trace::Counters;
 
 /// What one submit should take. Long enough that gaps between submits do not count, short enough for a display, a
 /// cancel and the drivers' watchdogs.
@@ -245,7 +246,7 @@ fn bounces(stages: &Stages, run: &Run<'_>, wave: &mut Wave, max_bounces: u32, la
 
 impl Renderer for GpuRenderer {
     fn render(&mut self, pass: &Pass, film: &mut PassFilm, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
-        check_region(pass.region, film.region)?;
+        pass.region.check_within(film.region)?;
         if pass.first_sample.checked_add(pass.samples).is_none() {
             return Err(DeviceError::Other("the pass counts its samples past 32 bits".to_owned()));
         }
@@ -259,16 +260,16 @@ impl Renderer for GpuRenderer {
             stats.rays += run.rays;
         }
         // Only now, so that a cancelled pass leaves the film as it was.
-        for_each_pixel(pass.region, film.region, &sums, |i, sum| {
+        for (i, sum) in pass.region.places_in(film.region).zip(&sums) {
             (0..3).for_each(|c| film.sum[i][c] += sum[c]);
-        });
+        }
         film.samples += pass.samples;
         stats.seconds = started.elapsed().as_secs_f64();
         Ok(stats)
     }
 
     fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
-        check_region(region, out.region)?;
+        region.check_within(out.region)?;
         let started = Instant::now();
         let mut stats = PassStats::default();
         let mut hits = Vec::with_capacity(region.pixels());
@@ -287,13 +288,11 @@ impl Renderer for GpuRenderer {
             })?);
         }
         for hit in &hits {
-            stats.counters += hit.counters();
+            let (box_tests, triangle_tests) = (hit.box_tests.into(), hit.primitive_tests.into());
+            stats.counters += Counters { box_tests, triangle_tests };
         }
         stats.rays.primary = hits.len() as u64;
-        let target = out.region;
-        for (aov, layer) in &mut out.layers {
-            for_each_pixel(region, target, &hits, |i, hit| hit.store(*aov, layer, i));
-        }
+        out.store_hits(region, &hits);
         stats.seconds = started.elapsed().as_secs_f64();
         Ok(stats)
     }
@@ -302,24 +301,4 @@ impl Renderer for GpuRenderer {
         let stages = self.stages.as_ref().map_or(0, Stages::bytes);
         self.resident.structure.bytes + self.resident.scene.bytes + stages
     }
-}
-
-/// Row-major `values` over `region`, each with its place in a row-major buffer over `target`.
-fn for_each_pixel<T>(region: Region, target: Region, values: &[T], mut f: impl FnMut(usize, &T)) {
-    for (k, value) in values.iter().enumerate() {
-        let x = (region.x - target.x) as usize + k % region.width as usize;
-        let y = (region.y - target.y) as usize + k / region.width as usize;
-        f(y * target.width as usize + x, value);
-    }
-}
-
-/// The pass must lie within what the film covers.
-fn check_region(inner: Region, outer: Region) -> Result<(), DeviceError> {
-    let end = |start: u32, length: u32| u64::from(start) + u64::from(length);
-    let fits = inner.x >= outer.x
-        && inner.y >= outer.y
-        && end(inner.x, inner.width) <= end(outer.x, outer.width)
-        && end(inner.y, inner.height) <= end(outer.y, outer.height)
-        && u32::try_from(inner.pixels()).is_ok();
-    if fits { Ok(()) } else { Err(DeviceError::Other(format!("the pass covers {inner:?}, the film only {outer:?}"))) }
 }

@@ -2,11 +2,11 @@
 
 use wgpu::naga;
 
-use super::layers::FirstHit;
 use super::pool::PoolLayout;
 use super::scene::{SceneInfo, Wave};
 use super::shader::{STAGES, Variant, compose};
 use super::tracer::{GpuHit, GpuRay};
+use crate::integrate::aov::FirstHit;
 use crate::pack::{
     PackedCamera, PackedEnvironment, PackedInstance, PackedLight, PackedMaterial, PackedMesh, PackedTexture,
 };
