@@ -344,6 +344,9 @@ pub struct Metrics {
     /// Rays of all kinds over `render_s`.
     pub mrays_per_s: f64,
     pub structure_bytes: u64,
+    /// Nodes of all structures: of BVHs those of the binary trees, of grids one.
+    #[serde(default)]
+    pub structure_nodes: u64,
     pub line_space_bytes: u64,
     /// Highest resident memory of the worker process.
     pub peak_bytes: u64,
@@ -374,6 +377,7 @@ impl Metrics {
         self.rays.indirect += other.rays.indirect;
         self.mrays_per_s = if self.render_s > 0.0 { self.rays.total() as f64 / self.render_s / 1e6 } else { 0.0 };
         self.structure_bytes = self.structure_bytes.max(other.structure_bytes);
+        self.structure_nodes = self.structure_nodes.max(other.structure_nodes);
         self.line_space_bytes = self.line_space_bytes.max(other.line_space_bytes);
         self.peak_bytes = self.peak_bytes.max(other.peak_bytes);
         join_distinct(&mut self.device, &other.device);
@@ -444,6 +448,7 @@ impl CacheSource {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CacheReport {
+    /// Hash of the mesh; of a structure over all instances, a hash over their meshes and transforms.
     pub mesh: String,
     /// Structure kind and parameters.
     pub structure: String,

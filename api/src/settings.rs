@@ -231,18 +231,43 @@ pub enum ToneMap {
     None,
 }
 
-/// Which spatial structure rays are traced over.
+/// Which spatial structure rays are traced over. All give the same picture; what differs is time and memory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Acceleration {
     pub structure: StructureKind,
+    /// Of BVHs.
     pub quality: BuildQuality,
+    /// Of BVHs: a triangle may stand in several leaves where that pays.
     pub spatial_splits: bool,
+    /// Of `ntree`: cells of a node on each axis, 2 to 16; 6 when null.
+    pub n: Option<u32>,
+    /// Levels of subdivision. Of `ntree`: 1 to 6, 3 when null. Of `octree`: 1 to 16, 12 when null.
+    pub depth: Option<u32>,
+    /// Of `ntree` and `octree`: cells with at most so many primitives are not subdivided, 0 to 1024; 8 when null.
+    pub max_leaf: Option<u32>,
+    /// Of `grid`: cells for each primitive, 1 to 64; 4 when neither this nor `resolution` is given.
+    pub cells_per_primitive: Option<u32>,
+    /// Of `grid`: cells on the longest axis instead, 1 to 4096.
+    pub resolution: Option<u32>,
+    /// Of `grid`, `octree` and `ntree`: a structure that would need more is refused; 1048576 (1 MiB) and more, 4 GiB when
+    /// null.
+    pub budget_bytes: Option<u64>,
 }
 
 impl Default for Acceleration {
     fn default() -> Self {
-        Self { structure: StructureKind::TwoLevel, quality: BuildQuality::Medium, spatial_splits: false }
+        Self {
+            structure: StructureKind::TwoLevel,
+            quality: BuildQuality::Medium,
+            spatial_splits: false,
+            n: None,
+            depth: None,
+            max_leaf: None,
+            cells_per_primitive: None,
+            resolution: None,
+            budget_bytes: None,
+        }
     }
 }
 
@@ -251,6 +276,15 @@ impl Default for Acceleration {
 pub enum StructureKind {
     /// One BVH per mesh under a BVH of instances.
     TwoLevel,
+    /// One BVH over all instances in world space.
+    Bvh,
+    /// A uniform grid over all instances in world space.
+    Grid,
+    /// An octree over all instances in world space.
+    Octree,
+    /// A recursive grid with `n` x `n` x `n` cells in each node, over all instances in world space.
+    #[serde(rename = "ntree")]
+    NTree,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

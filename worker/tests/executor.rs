@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use lightshaft_api::job::{CacheSource, Metrics, Phase, TaskWork};
 use lightshaft_api::lease::RetryClass;
-use lightshaft_api::settings::{AovName, CameraChoice, DeviceChoice, Environment, EnvironmentMap, RenderSettings};
+use lightshaft_api::settings::{
+    Acceleration, AovName, CameraChoice, DeviceChoice, Environment, EnvironmentMap, RenderSettings, StructureKind,
+};
 use lightshaft_engine::film::{encode_exr, read_environment};
 use lightshaft_engine::scene::{Limits, Params, Source, generate};
 use lightshaft_worker::cache::{StructureCache, StructureStore};
@@ -251,4 +253,48 @@ fn a_merge_of_damaged_parts_fails() {
     inputs.parts = vec![(TaskWork::Pass { first_sample: 0, samples: 1 }, b"garbage".to_vec())];
     let result = executor().run(&TaskWork::Merge, &small(), &inputs, &Recorder::default(), &AtomicBool::new(false));
     assert!(matches!(result, Err(TaskError::Failed { ref message, .. }) if message.contains("part")), "{result:?}");
+}
+
+fn over(structure: StructureKind) -> RenderSettings {
+    RenderSettings { acceleration: Acceleration { structure, ..Acceleration::default() }, ..small() }
+}
+
+#[test]
+fn every_structure_gives_the_same_picture_and_is_found_again() {
+    let (executor, inputs) = (executor(), generated("cornell-box"));
+    let expected = pixels(&run(&executor, &TaskWork::Frame, &small(), &inputs));
+    for (structure, name) in [
+        (StructureKind::Bvh, "bvh quality=medium,spatial_splits=false"),
+        (StructureKind::Grid, "grid cells_per_primitive=4"),
+        (StructureKind::Octree, "octree depth=12,max_leaf=8"),
+        (StructureKind::NTree, "ntree n=6,depth=3,max_leaf=8"),
+    ] {
+        let first = run(&executor, &TaskWork::Frame, &over(structure), &inputs);
+        let [report] = &first.metrics.cache[..] else { panic!("{:?}", first.metrics.cache) };
+        assert_eq!((report.structure.as_str(), report.source), (name, CacheSource::Built));
+        assert!(first.metrics.structure_nodes > 0 && first.metrics.structure_bytes >= report.bytes);
+        // Corners are rounded once more on their way into a flat scene: a path may turn out otherwise at an edge.
+        let differs = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).any(|c| (a[c] - b[c]).abs() > 1e-3 * (1.0 + a[c].abs()));
+        let picture = pixels(&first);
+        let different = expected.iter().zip(&picture).filter(|&pair| differs(pair)).count();
+        assert!(different * 50 <= expected.len(), "{name}: {different} of {} pixels differ", expected.len());
+
+        // Another view has to pack the scene anew, but builds nothing.
+        let wider = RenderSettings { width: 41, ..over(structure) };
+        let second = run(&executor, &TaskWork::Frame, &wider, &inputs);
+        assert_eq!(second.metrics.cache[0].source, CacheSource::Memory, "{name}");
+    }
+}
+
+#[test]
+fn a_structure_over_its_budget_is_bad_input_that_names_the_figure() {
+    let acceleration = Acceleration {
+        structure: StructureKind::Grid,
+        resolution: Some(512),
+        budget_bytes: Some(1 << 20),
+        ..Acceleration::default()
+    };
+    let (class, fatal, message) = fails(&RenderSettings { acceleration, ..small() });
+    assert_eq!((class, fatal), (RetryClass::Task, true));
+    assert!(message.contains("/settings/acceleration") && message.contains("1048576"), "{message}");
 }

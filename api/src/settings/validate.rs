@@ -1,11 +1,17 @@
 //! Ranges of every setting, all checked at once so that a client learns of every mistake from one answer.
 
-use super::{CameraChoice, CustomCamera, Environment, Ground, Light, LightKind, Output, RenderSettings, Split};
+use super::{
+    Acceleration, CameraChoice, CustomCamera, DeviceChoice, Environment, Ground, Light, LightKind, Output,
+    RenderSettings, Split, StructureKind,
+};
 use crate::blob::is_hash;
 use crate::problem::FieldError;
 
 /// Pixels of one picture: 8192 x 8192.
 const MAX_PIXELS: u64 = 1 << 26;
+
+/// Of a structure of cells: enough for any small scene.
+const MIN_BUDGET_BYTES: u64 = 1 << 20;
 
 /// Lights that one job may add.
 const MAX_LIGHTS: usize = 1024;
@@ -72,6 +78,12 @@ impl RenderSettings {
         c.check(no_repeats(&self.aovs), "aovs", "must not name a layer twice");
         c.check(self.lights.len() <= MAX_LIGHTS, "lights", "must be at most 1024 lights");
         self.validate_split(&mut c);
+        c.check(
+            self.device != DeviceChoice::Gpu || self.acceleration.structure == StructureKind::TwoLevel,
+            "acceleration/structure",
+            "must be two_level on device gpu: the others are walked by the CPU",
+        );
+        self.acceleration.validate(&format!("{prefix}/acceleration"), &mut errors);
         if let Some(environment) = &self.environment {
             environment.validate(&format!("{prefix}/environment"), &mut errors);
         }
@@ -107,6 +119,46 @@ impl RenderSettings {
                 c.check(!in_range || passes <= self.spp, "split/passes", "must not be more than spp");
             }
         }
+    }
+}
+
+impl Acceleration {
+    fn validate(&self, prefix: &str, errors: &mut Vec<FieldError>) {
+        let mut c = Checker { prefix, errors };
+        let mut applies = |is_given: bool, field: &str, to: &[StructureKind], detail: &str| {
+            c.check(!is_given || to.contains(&self.structure), field, detail);
+        };
+        let trees = [StructureKind::NTree, StructureKind::Octree];
+        let cells = [StructureKind::NTree, StructureKind::Octree, StructureKind::Grid];
+        applies(self.n.is_some(), "n", &[StructureKind::NTree], "applies to structure ntree alone");
+        applies(self.depth.is_some(), "depth", &trees, "applies to structures ntree and octree alone");
+        applies(self.max_leaf.is_some(), "max_leaf", &trees, "applies to structures ntree and octree alone");
+        let of_grids = "applies to structure grid alone";
+        applies(self.cells_per_primitive.is_some(), "cells_per_primitive", &[StructureKind::Grid], of_grids);
+        applies(self.resolution.is_some(), "resolution", &[StructureKind::Grid], of_grids);
+        let of_cells = "applies to structures grid, octree and ntree alone";
+        applies(self.budget_bytes.is_some(), "budget_bytes", &cells, of_cells);
+
+        let within = |value: Option<u32>, min: u32, max: u32| value.is_none_or(|value| (min..=max).contains(&value));
+        c.check(within(self.n, 2, 16), "n", "must be 2 to 16");
+        match self.structure {
+            StructureKind::NTree => c.check(within(self.depth, 1, 6), "depth", "must be 1 to 6 for an ntree"),
+            StructureKind::Octree => c.check(within(self.depth, 1, 16), "depth", "must be 1 to 16 for an octree"),
+            _ => {}
+        }
+        c.check(within(self.max_leaf, 0, 1024), "max_leaf", "must be 0 to 1024");
+        c.check(within(self.cells_per_primitive, 1, 64), "cells_per_primitive", "must be 1 to 64");
+        c.check(within(self.resolution, 1, 4096), "resolution", "must be 1 to 4096");
+        c.check(
+            self.resolution.is_none() || self.cells_per_primitive.is_none(),
+            "resolution",
+            "a grid has cells_per_primitive or resolution, not both",
+        );
+        c.check(
+            self.budget_bytes.is_none_or(|bytes| bytes >= MIN_BUDGET_BYTES),
+            "budget_bytes",
+            "must be at least 1048576 (1 MiB)",
+        );
     }
 }
 
@@ -279,6 +331,25 @@ mod tests {
         assert_eq!(pointers(at([0, 2, 0], [0, 1, 0])), ["/settings/camera/up"]);
         assert_eq!(pointers(at([0, 0, 1], [0, 0, 0])), ["/settings/camera/up"]);
         assert_eq!(pointers(at([0, 0, 1], [0, 1, 0])), [""; 0]);
+    }
+
+    #[test]
+    fn structures_take_their_own_parameters_alone() {
+        let wrong = |acceleration| pointers(json!({ "acceleration": acceleration }));
+        let field = |name: &str| format!("/settings/acceleration/{name}");
+        assert_eq!(wrong(json!({ "structure": "ntree", "n": 16, "depth": 6, "max_leaf": 0 })), [""; 0]);
+        assert_eq!(wrong(json!({ "structure": "octree", "depth": 16, "budget_bytes": 1 << 20 })), [""; 0]);
+        assert_eq!(wrong(json!({ "structure": "grid", "resolution": 4096 })), [""; 0]);
+        assert_eq!(wrong(json!({ "structure": "bvh", "quality": "high", "spatial_splits": true })), [""; 0]);
+        assert_eq!(wrong(json!({ "structure": "ntree", "n": 17, "depth": 7 })), [field("n"), field("depth")]);
+        assert_eq!(wrong(json!({ "structure": "octree", "n": 4 })), [field("n")]);
+        let both = json!({ "structure": "grid", "resolution": 8, "cells_per_primitive": 65 });
+        assert_eq!(wrong(both), [field("cells_per_primitive"), field("resolution")]);
+        let on_gpu = json!({ "device": "gpu", "acceleration": { "structure": "bvh" } });
+        assert_eq!(pointers(on_gpu), [field("structure")]);
+        let misplaced = json!({ "max_leaf": 4, "resolution": 8, "budget_bytes": 5 });
+        let fields = ["max_leaf", "resolution", "budget_bytes", "budget_bytes"];
+        assert_eq!(wrong(misplaced), fields.map(field));
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! setting was forgotten. Each field knows the JSON pointer of the value it stands for; the script builds the request
 //! from the pointers and puts the API's complaints beside the field that they point at.
 
+mod acceleration;
+
 use lightshaft_api::scene::Scene;
 use lightshaft_api::settings::{
     CameraChoice, CustomCamera, Environment, EnvironmentMap, Ground, Light, LightKind, RenderSettings, Split,
@@ -489,9 +491,8 @@ fn execution(s: &RenderSettings) -> Section {
         Some(Split::Tiles(tiles)) => ("@tiles", tiles, 2),
         Some(Split::Passes(passes)) => ("@passes", [2, 2], passes),
     };
-    let a = &s.acceleration;
     let choice = "/split_mode";
-    let fields = vec![
+    let mut fields = vec![
         Field::new(
             "/settings/device",
             "Device",
@@ -506,27 +507,9 @@ fn execution(s: &RenderSettings) -> Section {
             "Part of the GPU's name. Empty: any.",
             Control::Text { value: s.adapter.clone().unwrap_or_default(), placeholder: "any" },
         ),
-        Field::new(
-            "/settings/acceleration/structure",
-            "Structure",
-            "",
-            "",
-            Control::Choice { options: options(&[a.structure], &["two_level"], &[("two_level", "Two-level BVH")]) },
-        ),
-        Field::new(
-            "/settings/acceleration/quality",
-            "Build quality",
-            "",
-            "High builds longer and traces faster.",
-            Control::Choice { options: options(&[a.quality], &["fast", "medium", "high"], &[]) },
-        ),
-        Field::new(
-            "/settings/acceleration/spatial_splits",
-            "Spatial splits",
-            "",
-            "Better for long, thin triangles; takes more memory.",
-            Control::Switch { on: a.spatial_splits },
-        ),
+    ];
+    fields.extend(acceleration::fields(&s.acceleration));
+    fields.extend([
         Field::new(
             "/settings/time_limit_s",
             "Time limit",
@@ -548,7 +531,7 @@ fn execution(s: &RenderSettings) -> Section {
             .when(choice, "@tiles", split),
         Field::new("/settings/split/passes", "Shares", "", "Equal shares of the samples.", whole(passes, "2", "256"))
             .when(choice, "@passes", split),
-    ];
+    ]);
     Section { title: "Execution", intro: "", fields }
 }
 

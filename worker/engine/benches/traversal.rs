@@ -3,11 +3,11 @@
 //! `cargo bench -p lightshaft-engine --bench traversal -- [--rounds 5] [--threads 2] [--rays 1000000] [--very-slow 1]
 //! [--scene FILE.glb]...`
 //!
-//! Rounds are interleaved, so that a machine's moods meet all alike; the table shows medians. Rays are the same in every
-//! run: primary rays in image order, then from each point that they hit AO rays (any hit, up to a seventh of the scene)
-//! and diffuse rays (closest hit) in an order that no cache likes.
+//! Rounds are interleaved, so that a machine's moods meet all alike; the table shows medians. Rays: see `common/rays.rs`.
 
 mod common;
+#[path = "common/rays.rs"]
+mod rays;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,29 +16,16 @@ use std::time::Duration;
 
 use common::{Random, median, mesh, number, terrain, timed, values};
 use glam::{Affine3A, Vec3, Vec3A};
-use lightshaft_engine::accel::{BuildParams, Bvh2, HitFilter, MeshStructure, Placement, Quality, SceneAccel};
+use lightshaft_engine::accel::{BuildParams, Bvh2, MeshStructure, Placement, Quality, SceneAccel};
 use lightshaft_engine::scene::{Limits, Mesh, Scene, import_file};
-use lightshaft_engine::trace::{Counters, Hit, Kernels, Ray};
+use lightshaft_engine::trace::{Kernels, Ray};
 use obvhs::BvhBuildParams;
 use obvhs::cwbvh::CwBvh;
 use obvhs::cwbvh::builder::build_cwbvh_from_tris;
 use obvhs::ray::RayHit;
 use obvhs::rt_triangle::RtTriangle;
 use obvhs::triangle::Triangle;
-use rayon::prelude::*;
-
-/// Something that traces rays.
-trait Engine: Sync {
-    /// Distance of the nearest hit.
-    fn closest(&self, ray: &Ray) -> Option<f32>;
-    fn occluded(&self, ray: &Ray) -> bool;
-}
-
-struct RaySet {
-    name: &'static str,
-    any_hit: bool,
-    rays: Vec<Ray>,
-}
+use rays::{Engine, Ours, ray_sets, trace};
 
 fn main() {
     let threads = number("--threads", 2);
@@ -72,7 +59,7 @@ fn run(name: &str, mesh: &Mesh, threads: usize) {
         SceneAccel::build(vec![Arc::new(structure)], &[placement])
     };
     let medium = structure(Quality::Medium, false);
-    let plain = Plain::new(medium.structures()[0].bvh2().clone(), mesh);
+    let plain = Plain::new(medium.structures()[0].bvh2().expect("a BVH").clone(), mesh);
     let mut engines: Vec<(&str, Box<dyn Engine>)> = vec![
         ("obvhs CWBVH medium", Box::new(Obvhs::new(mesh, BvhBuildParams::medium_build()))),
         ("plain BVH2", Box::new(plain)),
@@ -87,7 +74,9 @@ fn run(name: &str, mesh: &Mesh, threads: usize) {
     if number("--very-slow", 0) != 0 {
         engines.push(("obvhs CWBVH very slow", Box::new(Obvhs::new(mesh, BvhBuildParams::very_slow_build()))));
     }
-    let sets = ray_sets(mesh, engines[3].1.as_ref(), number("--rays", 1_000_000));
+    // Normals point up: right for most of the terrain, and the same for every engine.
+    let surface = |ray: &Ray| Some((ray.origin + engines[3].1.closest(ray)? * ray.direction, Vec3::Y));
+    let sets = ray_sets(&mesh.bounds, number("--rays", 1_000_000), surface);
     let rounds = number("--rounds", 5);
     println!(
         "{name}: {} triangles, {threads} threads, medians of {rounds} interleaved rounds, MRays/s (times obvhs medium)",
@@ -116,74 +105,6 @@ fn run(name: &str, mesh: &Mesh, threads: usize) {
             print!("{:>22}", format!("{rate:.2} ({:.2})", rate / base));
         }
         println!("   hits {:?}", hits[number]);
-    }
-}
-
-fn trace(engine: &dyn Engine, set: &RaySet) -> usize {
-    let count = |rays: &[Ray]| {
-        rays.iter().filter(|ray| if set.any_hit { engine.occluded(ray) } else { engine.closest(ray).is_some() }).count()
-    };
-    set.rays.par_chunks(4096).map(count).sum()
-}
-
-fn ray_sets(mesh: &Mesh, engine: &dyn Engine, count: usize) -> Vec<RaySet> {
-    let side = (count as f64).sqrt() as usize;
-    let target = mesh.bounds.center();
-    let eye = target + mesh.bounds.extent().length() * Vec3::new(-0.25, 0.21, -0.39);
-    let forward = (target - eye).normalize();
-    let right = forward.cross(Vec3::Y).normalize();
-    let up = right.cross(forward);
-    let primary: Vec<Ray> = (0..side * side)
-        .map(|i| {
-            let [x, y] = [i % side, i / side].map(|i| 1.1 * ((i as f32 + 0.5) / side as f32 - 0.5));
-            Ray::new(eye, (forward + x * right - y * up).normalize())
-        })
-        .collect();
-    let points: Vec<(Vec3, Vec3)> = primary
-        .iter()
-        .filter_map(|ray| Some(ray.origin + engine.closest(ray)? * ray.direction))
-        .map(|point| (point, Vec3::Y))
-        .collect();
-    let mut random = Random(7);
-    let reach = mesh.bounds.extent().max_element() / 7.0;
-    assert!(!points.is_empty(), "no primary ray hits anything");
-    let mut scattered = |t_max: f32| -> Vec<Ray> {
-        (0..count)
-            .map(|_| {
-                let (point, normal) = points[random.next() as usize % points.len()];
-                let (sin, cos) = (std::f32::consts::TAU * random.unit()).sin_cos();
-                let z = random.unit().sqrt();
-                let r = (1.0 - z * z).sqrt();
-                let direction = Vec3::new(r * cos, 0.0, r * sin) + z * normal;
-                Ray { origin: point + 1e-4 * reach * normal, t_min: 0.0, direction, t_max }
-            })
-            .collect()
-    };
-    let (ao, diffuse) = (scattered(reach), scattered(f32::INFINITY));
-    vec![
-        RaySet { name: "primary", any_hit: false, rays: primary },
-        RaySet { name: "AO any-hit", any_hit: true, rays: ao },
-        RaySet { name: "diffuse closest", any_hit: false, rays: diffuse },
-    ]
-}
-
-struct Ours(SceneAccel);
-
-struct AcceptAll;
-
-impl HitFilter for AcceptAll {
-    fn accept(&self, _: &Ray, _: &Hit) -> bool {
-        true
-    }
-}
-
-impl Engine for Ours {
-    fn closest(&self, ray: &Ray) -> Option<f32> {
-        self.0.closest(ray, &AcceptAll, &mut Counters::default()).map(|hit| hit.t)
-    }
-
-    fn occluded(&self, ray: &Ray) -> bool {
-        self.0.occluded(ray, &AcceptAll, &mut Counters::default())
     }
 }
 

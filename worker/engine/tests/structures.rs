@@ -80,7 +80,7 @@ fn better_quality_costs_less_to_trace() {
     let mesh = soup(20_000, 0.05, 9);
     let cost = |quality, spatial_splits| build(&mesh, BuildParams { quality, spatial_splits }).bvh2().sah_cost();
     let [fast, medium, high] = [Quality::Fast, Quality::Medium, Quality::High].map(|quality| cost(quality, false));
-    assert!(medium < fast && high < 1.001 * medium, "{fast} {medium} {high}");
+    assert!(medium < fast && high < 0.98 * medium, "{fast} {medium} {high}");
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn stored_structures_that_are_damaged_are_refused() {
         damaged[at] ^= 1 << (at % 8);
         assert!(MeshStructure::decode(&damaged, &mesh).is_err(), "byte {at}");
     }
-    for length in [0, 5, 95, 96, bytes.len() - 1] {
+    for length in [0, 5, 79, 80, bytes.len() - 1] {
         assert!(MeshStructure::decode(&bytes[..length], &mesh).is_err(), "cut to {length}");
     }
     let other = Mesh { hash: MeshHash([9; 32]), ..mesh };
@@ -151,13 +151,13 @@ fn indices_are_checked_even_under_a_good_checksum() {
     let bytes = build(&mesh, BuildParams::default()).encode();
     let mut random = Random(12);
     let mut refused = 0;
-    for word in (96..bytes.len()).step_by(4) {
+    for word in (80..bytes.len()).step_by(4) {
         for value in [0, 1, 7, 0x7fff_ffff, u32::MAX, random.next() as u32 % 64, random.next() as u32] {
             let mut forged = bytes.clone();
             forged[word..word + 4].copy_from_slice(&value.to_le_bytes());
             let mut hasher = blake3::Hasher::new();
-            hasher.update(&forged[..64]).update(&forged[96..]);
-            forged[64..96].copy_from_slice(hasher.finalize().as_bytes());
+            hasher.update(&forged[..48]).update(&forged[80..]);
+            forged[48..80].copy_from_slice(hasher.finalize().as_bytes());
             match MeshStructure::decode(&forged, &mesh) {
                 Err(_) => refused += 1,
                 // Only boxes or the choice of primitives are wrong: hits may be, but nothing else.

@@ -6,11 +6,11 @@
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use lightshaft_api::job::{CacheReport, CacheSource};
-use lightshaft_engine::accel::{BuildError, BuildParams, MeshStructure, StructureKey};
+use lightshaft_engine::accel::{BuildError, Structure, StructureKey, StructureParams, WeakStructure};
 use lightshaft_engine::scene::Mesh;
 
 use super::disk::DiskStore;
@@ -38,15 +38,15 @@ pub struct StructureCache {
 
 #[derive(Debug)]
 struct Memory {
-    kept: Lru<StructureKey, Arc<MeshStructure>>,
+    kept: Lru<StructureKey, Structure>,
     /// Everything that somebody still traces with, evicted or not.
-    alive: HashMap<StructureKey, Weak<MeshStructure>>,
+    alive: HashMap<StructureKey, WeakStructure>,
 }
 
 /// A structure, and where it came from.
 #[derive(Debug)]
 pub struct Obtained {
-    pub structure: Arc<MeshStructure>,
+    pub structure: Structure,
     pub report: CacheReport,
     pub warnings: Vec<String>,
 }
@@ -69,7 +69,7 @@ impl StructureCache {
     pub fn get(
         &self,
         mesh: &Mesh,
-        params: &BuildParams,
+        params: &StructureParams,
         store: Option<&dyn StructureStore>,
         cancel: &AtomicBool,
     ) -> Result<Obtained, BuildError> {
@@ -77,7 +77,7 @@ impl StructureCache {
         let key = params.key(mesh.hash);
         let _turn = self.take_turn(&key, cancel)?;
         let mut warnings = Vec::new();
-        let (structure, source) = match self.find(&key, mesh, store, &mut warnings) {
+        let (structure, source) = match self.find(&key, mesh, params, store, &mut warnings) {
             Some(found) => found,
             None => (self.build(&key, mesh, params, store, cancel, &mut warnings)?, CacheSource::Built),
         };
@@ -117,21 +117,28 @@ impl StructureCache {
         &self,
         key: &StructureKey,
         mesh: &Mesh,
+        params: &StructureParams,
         store: Option<&dyn StructureStore>,
         warnings: &mut Vec<String>,
-    ) -> Option<(Arc<MeshStructure>, CacheSource)> {
+    ) -> Option<(Structure, CacheSource)> {
         if let Some(structure) = self.recall(key) {
             return Some((structure, CacheSource::Memory));
         }
-        if let Some(structure) = self.load(key, mesh, warnings) {
+        if let Some(structure) = self.load(key, mesh, params, warnings) {
             return Some((self.remember(key, structure), CacheSource::Disk));
         }
-        let (structure, encoded) = self.fetch(key, mesh, store?, warnings)?;
+        let (structure, encoded) = self.fetch(key, mesh, params, store?, warnings)?;
         self.save(key, &encoded, warnings);
         Some((self.remember(key, structure), CacheSource::Fetched))
     }
 
-    fn load(&self, key: &StructureKey, mesh: &Mesh, warnings: &mut Vec<String>) -> Option<MeshStructure> {
+    fn load(
+        &self,
+        key: &StructureKey,
+        mesh: &Mesh,
+        params: &StructureParams,
+        warnings: &mut Vec<String>,
+    ) -> Option<Structure> {
         let disk = self.disk.as_ref()?;
         let name = file_name(key);
         let bytes = match disk.read(&name) {
@@ -141,7 +148,7 @@ impl StructureCache {
                 return None;
             }
         };
-        match MeshStructure::decode(&bytes, mesh) {
+        match params.decode(&bytes, mesh) {
             Ok(structure) => Some(structure),
             Err(why) => {
                 warnings.push(format!("the cached structure of mesh {} was corrupt ({why}): rebuilt", key.mesh));
@@ -157,12 +164,13 @@ impl StructureCache {
         &self,
         key: &StructureKey,
         mesh: &Mesh,
+        params: &StructureParams,
         store: &dyn StructureStore,
         warnings: &mut Vec<String>,
-    ) -> Option<(MeshStructure, Vec<u8>)> {
+    ) -> Option<(Structure, Vec<u8>)> {
         match store.fetch(key) {
             Ok(None) => None,
-            Ok(Some(encoded)) => match MeshStructure::decode(&encoded, mesh) {
+            Ok(Some(encoded)) => match params.decode(&encoded, mesh) {
                 Ok(structure) => Some((structure, encoded)),
                 Err(why) => {
                     warnings.push(format!("the service's structure of mesh {} was corrupt ({why}): rebuilt", key.mesh));
@@ -180,13 +188,13 @@ impl StructureCache {
         &self,
         key: &StructureKey,
         mesh: &Mesh,
-        params: &BuildParams,
+        params: &StructureParams,
         store: Option<&dyn StructureStore>,
         cancel: &AtomicBool,
         warnings: &mut Vec<String>,
-    ) -> Result<Arc<MeshStructure>, BuildError> {
+    ) -> Result<Structure, BuildError> {
         let started = Instant::now();
-        let structure = MeshStructure::build(mesh, params, cancel)?;
+        let structure = Structure::build(mesh, params, cancel)?;
         let build_s = started.elapsed().as_secs_f64();
         let encoded = (self.disk.is_some() || store.is_some()).then(|| structure.encode());
         let structure = self.remember(key, structure);
@@ -207,17 +215,16 @@ impl StructureCache {
         }
     }
 
-    fn recall(&self, key: &StructureKey) -> Option<Arc<MeshStructure>> {
+    fn recall(&self, key: &StructureKey) -> Option<Structure> {
         let mut memory = self.memory();
-        memory.kept.get(key).or_else(|| memory.alive.get(key).and_then(Weak::upgrade))
+        memory.kept.get(key).or_else(|| memory.alive.get(key).and_then(WeakStructure::upgrade))
     }
 
-    fn remember(&self, key: &StructureKey, structure: MeshStructure) -> Arc<MeshStructure> {
-        let structure = Arc::new(structure);
+    fn remember(&self, key: &StructureKey, structure: Structure) -> Structure {
         let mut memory = self.memory();
-        memory.alive.retain(|_, weak| weak.strong_count() > 0);
-        memory.alive.insert(key.clone(), Arc::downgrade(&structure));
-        memory.kept.insert(key.clone(), Arc::clone(&structure), structure.bytes() as u64);
+        memory.alive.retain(|_, weak| weak.is_alive());
+        memory.alive.insert(key.clone(), structure.downgrade());
+        memory.kept.insert(key.clone(), structure.clone(), structure.bytes() as u64);
         structure
     }
 

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use lightshaft_api::job::{CacheReport, Metrics, Phase};
 use lightshaft_api::settings::{self as api, DeviceChoice};
-use lightshaft_engine::accel::{BuildError, BuildParams, MeshStructure, SceneAccel};
+use lightshaft_engine::accel::{BuildError, SceneAccel, Structure, StructureParams, flatten};
 use lightshaft_engine::device::DeviceError;
 use lightshaft_engine::film::read_environment;
 use lightshaft_engine::pack::{self, PackedScene};
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use super::devices::{Choice, OnDevice};
 use super::{Executor, IMPORT_STARTS, PREPARE_STARTS, Ready, STRUCTURES_START, Task, TaskError};
 use crate::cache::{Lru, Obtained};
-use crate::settings;
+use crate::settings::{self, Structures};
 
 /// Pixels of the largest environment map: 16384 x 8192.
 const MAX_MAP_PIXELS: u64 = 1 << 27;
@@ -48,6 +48,10 @@ impl Executor {
     pub(super) fn prepare(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<Ready, TaskError> {
         // Before anything is built for a device that is not there.
         let choice = self.devices.choose(task.settings.device, task.settings.adapter.as_deref())?;
+        let is_flat = matches!(Structures::of(&task.settings.acceleration), Structures::Flat(_));
+        // The GPU walks two levels alone; a job that leaves the device to us gets one that can.
+        let choice =
+            if is_flat && choice != Choice::Cpu { self.devices.choose(DeviceChoice::Cpu, None)? } else { choice };
         let scene = self.scene(task, metrics)?;
         let map = environment_map(task, metrics)?;
         let resolved = settings::resolve(task.settings, &scene, map)
@@ -107,8 +111,8 @@ impl Executor {
         resolved: &RenderSettings,
         metrics: &mut Metrics,
     ) -> Result<Arc<PackedScene>, TaskError> {
-        let params = settings::build_params(&task.settings.acceleration);
-        let key = packed_key(task, &params);
+        let wanted = Structures::of(&task.settings.acceleration);
+        let key = packed_key(task, &wanted);
         let known = key.as_ref().and_then(|key| {
             let last = self.prepared.last.lock().unwrap_or_else(PoisonError::into_inner);
             last.as_ref()
@@ -116,7 +120,7 @@ impl Executor {
                 .map(|last| (Arc::clone(&last.packed), last.structures.clone()))
         });
         if let Some((packed, structures)) = known {
-            metrics.structure_bytes = structure_bytes(&packed);
+            count_structures(metrics, &packed);
             metrics.cache.extend(structures);
             return Ok(packed);
         }
@@ -126,8 +130,13 @@ impl Executor {
         task.report(Phase::Structures, STRUCTURES_START, 0);
         let started = Instant::now();
         let with_overlays = pack::with_overlays(scene, resolved);
-        let structures = self.obtain_structures(task, &with_overlays, &params, metrics)?;
-        let accel = Arc::new(SceneAccel::build(structures, &pack::placements(&with_overlays)));
+        let accel = Arc::new(match &wanted {
+            Structures::PerMesh(params) => {
+                let structures = self.obtain_structures(task, &with_overlays, params, metrics)?;
+                SceneAccel::build(structures, &pack::placements(&with_overlays))
+            }
+            Structures::Flat(params) => self.obtain_flat(task, &with_overlays, params, metrics)?,
+        });
         metrics.build_s += started.elapsed().as_secs_f64();
         task.check_stop()?;
 
@@ -135,7 +144,7 @@ impl Executor {
         let started = Instant::now();
         let packed = pack::pack(&with_overlays, resolved, accel).map_err(|e| TaskError::bad_input(e.to_string()))?;
         let packed = Arc::new(packed);
-        metrics.structure_bytes = structure_bytes(&packed);
+        count_structures(metrics, &packed);
         metrics.prepare_s += started.elapsed().as_secs_f64();
         if let Some(key) = key {
             // Whoever finds it ready has every structure in memory.
@@ -156,9 +165,9 @@ impl Executor {
         &self,
         task: &Task<'_>,
         scene: &Scene,
-        params: &BuildParams,
+        params: &StructureParams,
         metrics: &mut Metrics,
-    ) -> Result<Vec<Arc<MeshStructure>>, TaskError> {
+    ) -> Result<Vec<Structure>, TaskError> {
         let mut order: Vec<usize> = (0..scene.meshes.len()).collect();
         order.sort_by_key(|&i| std::cmp::Reverse(scene.meshes[i].primitive_count()));
         let store = task.inputs.structures();
@@ -173,21 +182,29 @@ impl Executor {
                 Ok((i, obtained))
             })
             .collect::<Result<Vec<(usize, Obtained)>, BuildError>>()
-            .map_err(|error| match error {
-                BuildError::Cancelled => TaskError::Stopped,
-                BuildError::Unsupported(why) => TaskError::bad_input(why),
-            })?;
+            .map_err(build_error)?;
         let mut by_mesh: Vec<(usize, Obtained)> = obtained;
         by_mesh.sort_by_key(|(i, _)| *i);
         let mut structures = Vec::with_capacity(by_mesh.len());
         for (_, obtained) in by_mesh {
-            for warning in obtained.warnings {
-                task.warn(metrics, warning);
-            }
-            metrics.cache.push(obtained.report);
-            structures.push(obtained.structure);
+            structures.push(take(obtained, task, metrics));
         }
         Ok(structures)
+    }
+
+    /// One structure over all instances. It belongs to this arrangement of meshes and to no single one, so it is kept by
+    /// this worker, and not offered to the service, which knows structures by mesh.
+    fn obtain_flat(
+        &self,
+        task: &Task<'_>,
+        scene: &Scene,
+        params: &StructureParams,
+        metrics: &mut Metrics,
+    ) -> Result<SceneAccel, TaskError> {
+        let (flat, names) = flatten(&scene.meshes, &pack::placements(scene)).map_err(build_error)?;
+        task.check_stop()?;
+        let obtained = self.structures.get(&flat, params, None, task.stop).map_err(build_error)?;
+        Ok(SceneAccel::flat(take(obtained, task, metrics), names))
     }
 
     fn on_device(
@@ -224,17 +241,36 @@ fn environment_map(task: &Task<'_>, metrics: &mut Metrics) -> Result<Option<Arc<
     Ok(Some(Arc::new(image)))
 }
 
+/// The structure; what there is to tell about it goes to the metrics.
+fn take(obtained: Obtained, task: &Task<'_>, metrics: &mut Metrics) -> Structure {
+    for warning in obtained.warnings {
+        task.warn(metrics, warning);
+    }
+    metrics.cache.push(obtained.report);
+    obtained.structure
+}
+
+fn build_error(error: BuildError) -> TaskError {
+    match error {
+        BuildError::Cancelled => TaskError::Stopped,
+        BuildError::Unsupported(why) => TaskError::bad_input(format!("/settings/acceleration: {why}")),
+    }
+}
+
 /// Names everything that goes into a packed scene. Samples, seed and outputs do not.
-fn packed_key(task: &Task<'_>, params: &BuildParams) -> Option<String> {
+fn packed_key(task: &Task<'_>, structures: &Structures) -> Option<String> {
     let scene = task.inputs.scene_key()?;
     let s = task.settings;
     let parts = (&s.camera, s.width, s.height, &s.environment, &s.lights, &s.ground);
-    Some(format!("{scene} {params:?} {parts:?}"))
+    Some(format!("{scene} {structures:?} {parts:?}"))
 }
 
-fn structure_bytes(packed: &PackedScene) -> u64 {
-    let meshes: usize = packed.accel.structures().iter().map(|structure| structure.bytes()).sum();
-    (meshes + packed.accel.top_bytes()) as u64
+fn count_structures(metrics: &mut Metrics, packed: &PackedScene) {
+    let structures = packed.accel.structures();
+    let bytes: usize = structures.iter().map(Structure::bytes).sum();
+    metrics.structure_bytes = (bytes + packed.accel.top_bytes()) as u64;
+    let nodes: usize = structures.iter().map(Structure::node_count).sum();
+    metrics.structure_nodes = (nodes + packed.accel.top().nodes.len()) as u64;
 }
 
 fn import_error(error: ImportError) -> TaskError {

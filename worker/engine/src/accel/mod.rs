@@ -1,26 +1,41 @@
 //! Spatial structures: built once per unique mesh, shared by every instance, job and worker.
 //!
-//! [`MeshStructure::build`] makes a binary tree ([`Bvh2`], from which every device makes its own layout) and the wide
-//! tree that the CPU walks. [`SceneAccel`] places structures in the world and is what rays are traced against.
+//! [`Structure`] is any of them over one mesh: a BVH ([`MeshStructure`]: a binary tree, from which every device makes its
+//! own layout, and the wide tree that the CPU walks), or a tree of cells ([`CellTree`]: [grid], [octree] or [N-tree](ntree)).
+//! [`SceneAccel`] is what rays are traced against: structures placed in the world under a top level, or one structure over
+//! all instances in world space ([flat]). Whatever the structure, the same ray has the same hits.
 
 mod build;
 pub(crate) mod bvh2;
+pub(crate) mod cells;
+mod flat;
+mod grid;
 mod memory;
+mod ntree;
+mod octree;
 pub mod overlap;
+mod scene_accel;
 mod store;
 mod stored;
+mod structure;
 mod two_level;
 pub(crate) mod wide;
 
 use std::sync::atomic::AtomicBool;
 
 pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
-pub use two_level::{HitFilter, Placement, SceneAccel};
+pub use cells::{CellNode, CellTree, MAX_DIM};
+pub use flat::{Names, flat_hash, flatten};
+pub use grid::{GridParams, GridResolution};
+pub use ntree::NTreeParams;
+pub use octree::OctreeParams;
+pub use scene_accel::{HitFilter, Placement, SceneAccel};
+pub use structure::{Structure, StructureParams, WeakStructure};
 
 use crate::scene::{Aabb, Mesh, MeshHash};
 use wide::{Role, WideBvh};
 
-/// Which structure, and how it is to be built. [`Self::canonical`] is its part of the cache key.
+/// How a BVH is to be built. [`Self::canonical`] is its part of the cache key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct BuildParams {
     pub quality: Quality,
@@ -44,7 +59,7 @@ pub const BUILDER_VERSION: u32 = 2;
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct StructureKey {
     pub mesh: MeshHash,
-    /// `"bvh"`.
+    /// `"bvh"`, `"grid"`, `"octree"` or `"ntree"`.
     pub kind: &'static str,
     /// Canonical text of the parameters, e.g. `quality=medium,spatial_splits=false`.
     pub parameters: String,
@@ -65,7 +80,7 @@ pub struct CorruptStructure(pub String);
 
 impl BuildParams {
     pub fn key(&self, mesh: MeshHash) -> StructureKey {
-        StructureKey { mesh, kind: "bvh", parameters: self.canonical(), builder_version: BUILDER_VERSION }
+        StructureParams::from(*self).key(mesh)
     }
 
     pub fn canonical(&self) -> String {

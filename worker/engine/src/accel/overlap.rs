@@ -75,9 +75,8 @@ impl Lattice {
     pub fn triangle_cells(&self, corners: [Vec3; 3], within: CellRange, mut visit: impl FnMut([u32; 3])) {
         let corners = corners.map(|corner| corner.as_dvec3() - self.origin.as_dvec3());
         let (min, max) = (corners[0].min(corners[1]).min(corners[2]), corners[0].max(corners[1]).max(corners[2]));
-        let Some(range) = self.range(min, max, within) else { return };
-        // In a single row of cells, each slab that the triangle spans is one cell, which it therefore meets.
-        if (0..3).filter(|&k| range.first[k] == range.last[k]).count() >= 2 {
+        let Some((range, is_one_row)) = self.range(min, max, within) else { return };
+        if is_one_row {
             for_each_cell(range, visit);
             return;
         }
@@ -93,7 +92,7 @@ impl Lattice {
     pub fn sphere_cells(&self, center: Vec3, radius: f32, within: CellRange, mut visit: impl FnMut([u32; 3])) {
         let center = center.as_dvec3() - self.origin.as_dvec3();
         let radius = f64::from(radius.abs());
-        let Some(range) = self.range(center - radius, center + radius, within) else { return };
+        let Some((range, _)) = self.range(center - radius, center + radius, within) else { return };
         for_each_cell(range, |cell| {
             let low = self.low_corner(cell);
             let high = low + self.cell + 2.0 * self.growth;
@@ -110,27 +109,26 @@ impl Lattice {
         DVec3::from_array(cell.map(f64::from)) * self.cell - self.growth
     }
 
-    /// The cells that a box relative to the origin meets; none where it is not finite.
-    fn range(&self, min: DVec3, max: DVec3, within: CellRange) -> Option<CellRange> {
+    /// The cells of `within` that a box relative to the origin meets, and whether the box lies in a single row of the
+    /// (endless) lattice: then whatever is connected and as long as the box meets each of them. None where the box is
+    /// not finite.
+    fn range(&self, min: DVec3, max: DVec3, within: CellRange) -> Option<(CellRange, bool)> {
         if !(min.is_finite() && max.is_finite()) {
             return None;
         }
-        let index = |at: f64, axis: usize| {
-            // The cast saturates, also for the infinities of a flat axis; NaN, which is 0 / 0, becomes 0.
-            ((at / self.cell[axis]).floor() as i64).clamp(-1, i64::from(self.dims[axis]))
-        };
-        let first: [i64; 3] = std::array::from_fn(|k| index(min[k] - self.growth, k));
-        let last: [i64; 3] = std::array::from_fn(|k| index(max[k] + self.growth, k));
-        let outside = (0..3).any(|k| last[k] < 0 || first[k] >= i64::from(self.dims[k]));
-        if outside {
+        // The casts saturate, also for the infinities of a flat axis; NaN, which is 0 / 0, becomes 0.
+        let low: [i64; 3] = std::array::from_fn(|k| ((min[k] - self.growth) / self.cell[k]).floor() as i64);
+        let high: [i64; 3] = std::array::from_fn(|k| ((max[k] + self.growth) / self.cell[k]).floor() as i64);
+        let is_one_row = (0..3).filter(|&k| low[k] == high[k]).count() >= 2;
+        if (0..3).any(|k| high[k] < 0 || low[k] >= i64::from(self.dims[k])) {
             return None;
         }
         let clamp = |at: i64, axis: usize| at.clamp(0, i64::from(self.dims[axis]) - 1) as u32;
         let range = CellRange {
-            first: std::array::from_fn(|k| clamp(first[k], k)),
-            last: std::array::from_fn(|k| clamp(last[k], k)),
+            first: std::array::from_fn(|k| clamp(low[k], k)),
+            last: std::array::from_fn(|k| clamp(high[k], k)),
         };
-        range.intersection(&within)
+        Some((range.intersection(&within)?, is_one_row))
     }
 }
 
@@ -251,8 +249,8 @@ mod tests {
     /// Whether anything is left of the triangle when it is clipped to a cell that is `more` larger to all sides.
     fn clipping_leaves_something(lattice: &Lattice, corners: [Vec3; 3], cell: [u32; 3], more: f64) -> bool {
         let mut polygon = corners.map(|c| c.as_dvec3()).to_vec();
-        for axis in 0..3 {
-            let low = f64::from(lattice.origin[axis]) + f64::from(cell[axis]) * lattice.cell[axis];
+        for (axis, &number) in cell.iter().enumerate() {
+            let low = f64::from(lattice.origin[axis]) + f64::from(number) * lattice.cell[axis];
             polygon = clip(&polygon, axis, low - more, true);
             polygon = clip(&polygon, axis, low + lattice.cell[axis] + more, false);
         }

@@ -1,43 +1,24 @@
-//! The top level: instances of mesh structures, placed in the world.
+//! The top level: instances of structures, placed in the world.
 //!
 //! It is built per job, over world-space boxes that are tight: not the turned root box of a mesh, but the union of the
 //! turned boxes of a cut through the upper part of its tree. A ray goes into an instance's space without being
 //! normalised, so `t` means the same everywhere.
-
-use std::sync::Arc;
 
 use glam::{Affine3A, DMat3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::bvh2::Bvh2;
 use super::wide::{self, Node};
-use super::{MeshStructure, build};
+use super::{HitFilter, Placement, Structure, build};
 use crate::scene::Aabb;
 use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink};
 
 /// Boxes of a mesh that bound its instances.
 const CUT_SIZE: usize = 32;
 
-/// One placed mesh, as the top level sees it.
-#[derive(Clone, Copy, Debug)]
-pub struct Placement {
-    /// Index into the scene's structures.
-    pub mesh: u32,
-    pub transform: Affine3A,
-    /// Candidate hits of this instance go through the [`HitFilter`].
-    pub filtered: bool,
-}
-
-/// Decides whether a candidate hit counts (alpha mask and blend). Must depend on the hit alone, never on the order of
-/// the calls: the same ray gives the same answers on every device.
-pub trait HitFilter {
-    fn accept(&self, ray: &Ray, hit: &Hit) -> bool;
-}
-
-/// A top-level structure over instances of mesh structures: what rays are traced against.
+/// The instances of a scene, and the tree over them.
 #[derive(Debug)]
-pub struct SceneAccel {
-    structures: Vec<Arc<MeshStructure>>,
+pub(super) struct TwoLevel {
     /// As many as placements were given.
     instances: Vec<Instance>,
     top: Bvh2,
@@ -47,7 +28,6 @@ pub struct SceneAccel {
     bounds: Aabb,
     /// The one instance there is, when object space is world space: the top level is then not walked.
     only: Option<u32>,
-    kernels: Kernels,
 }
 
 /// An instance as a ray meets it.
@@ -61,22 +41,17 @@ struct Instance {
     filtered: bool,
 }
 
-impl SceneAccel {
-    /// Builds the top level. An instance whose transform cannot be inverted has no surface and is left out.
-    ///
-    /// # Panics
-    /// When a placement refers to a structure that is not there, or with more than 2^27 placements.
-    pub fn build(structures: Vec<Arc<MeshStructure>>, placements: &[Placement]) -> Self {
-        let cuts: Vec<Vec<Aabb>> = structures.par_iter().map(|structure| cut(structure.bvh2())).collect();
+impl TwoLevel {
+    pub(super) fn build(structures: &[Structure], placements: &[Placement]) -> Self {
+        let cuts: Vec<Vec<Aabb>> = structures.par_iter().map(cut).collect();
         let (instances, boxes): (Vec<Instance>, Vec<Aabb>) = placements
             .par_iter()
             .with_min_len(256)
             .map(|placement| {
-                let instance = Instance::new(placement);
-                let visible =
-                    instance.inverse.is_finite() && instance.inverse != Mat3::ZERO && instance.translation.is_finite();
                 let cut = &cuts[placement.mesh as usize];
-                (instance, if visible { world_bounds(cut, &placement.transform) } else { Aabb::EMPTY })
+                let is_visible = is_visible(placement);
+                let bounds = if is_visible { world_bounds(cut, &placement.transform) } else { Aabb::EMPTY };
+                (Instance::new(placement), bounds)
             })
             .unzip();
         let top = build::build_over_boxes(&boxes, 1);
@@ -86,39 +61,51 @@ impl SceneAccel {
             [only] if placements[only as usize].transform == Affine3A::IDENTITY => Some(only),
             _ => None,
         };
-        Self { structures, instances, top, top_nodes, top_entries, bounds, only, kernels: Kernels::detect() }
+        Self { instances, top, top_nodes, top_entries, bounds, only }
     }
 
-    /// The same scene, walked by other kernels than the best for this CPU: their answers are the same.
-    pub fn with_kernels(self, kernels: Kernels) -> Self {
-        Self { kernels, ..self }
-    }
-
-    /// The nearest hit in `(t_min, t_max)`. Of several at the same `t` the one of the lowest instance counts, and in it
-    /// that of the lowest primitive: so the answer does not depend on the structure.
-    pub fn closest(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> Option<Hit> {
-        let nothing = Hit { t: ray.t_max, u: 0.0, v: 0.0, instance: 0, primitive: 0 };
-        let mut sink = Closest { best: nothing, found: false };
-        self.walk(ray, filter, &mut sink, counters);
-        sink.found.then_some(sink.best)
-    }
-
-    /// Whether anything is hit in `(t_min, t_max)`.
-    pub fn occluded(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
-        self.walk(ray, filter, &mut Any { t_max: ray.t_max }, counters)
-    }
-
-    fn walk(&self, ray: &Ray, filter: &dyn HitFilter, sink: &mut impl Sink, counters: &mut Counters) -> bool {
+    #[inline(always)]
+    pub(super) fn walk(
+        &self,
+        structures: &[Structure],
+        kernels: Kernels,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        let scene = Scene { top: self, structures, kernels };
         if let Some(only) = self.only {
-            return self.walk_instance(only, ray, ray, filter, sink, counters);
+            return scene.walk_instance(only, ray, ray, filter, sink, counters);
         }
         let Some(world_ray) = ObjectRay::new(ray, &self.bounds) else { return false };
-        let mut visitor = InstanceVisitor { scene: self, ray, filter, sink, counters: Counters::default() };
-        let stopped = self.kernels.walk_top(&self.top_nodes, &world_ray, &mut visitor, counters);
+        let mut visitor = InstanceVisitor { scene, ray, filter, sink, counters: Counters::default() };
+        let stopped = kernels.walk_top(&self.top_nodes, &world_ray, &mut visitor, counters);
         *counters += visitor.counters;
         stopped
     }
 
+    pub(super) fn bytes(&self) -> usize {
+        self.top.bytes()
+            + size_of_val(self.top_nodes.as_slice())
+            + size_of_val(self.top_entries.as_slice())
+            + size_of_val(self.instances.as_slice())
+    }
+
+    pub(super) fn tree(&self) -> &Bvh2 {
+        &self.top
+    }
+}
+
+/// What a walk needs of the scene.
+#[derive(Clone, Copy)]
+struct Scene<'a> {
+    top: &'a TwoLevel,
+    structures: &'a [Structure],
+    kernels: Kernels,
+}
+
+impl Scene<'_> {
     #[inline(always)]
     fn walk_instance(
         &self,
@@ -129,32 +116,15 @@ impl SceneAccel {
         sink: &mut impl Sink,
         counters: &mut Counters,
     ) -> bool {
-        let instance = &self.instances[number as usize];
+        let instance = &self.top.instances[number as usize];
         let structure = &self.structures[instance.structure as usize];
-        let Some(object_ray) = ObjectRay::new(object_ray, &structure.bvh2().bounds()) else { return false };
+        let Some(object_ray) = ObjectRay::new(object_ray, &structure.bounds()) else { return false };
         if instance.filtered {
             let mut sink = Filtered { sink, filter, ray };
-            self.kernels.walk_mesh(structure.wide(), &object_ray, number, &mut sink, counters)
+            structure.walk(self.kernels, &object_ray, number, &mut sink, counters)
         } else {
-            self.kernels.walk_mesh(structure.wide(), &object_ray, number, sink, counters)
+            structure.walk(self.kernels, &object_ray, number, sink, counters)
         }
-    }
-
-    /// Bytes of the top level alone.
-    pub fn top_bytes(&self) -> usize {
-        self.top.bytes()
-            + size_of_val(self.top_nodes.as_slice())
-            + size_of_val(self.top_entries.as_slice())
-            + size_of_val(self.instances.as_slice())
-    }
-
-    /// The top level over world-space instance bounds; its primitives are instance numbers.
-    pub fn top(&self) -> &Bvh2 {
-        &self.top
-    }
-
-    pub fn structures(&self) -> &[Arc<MeshStructure>] {
-        &self.structures
     }
 }
 
@@ -185,8 +155,15 @@ impl Instance {
     }
 }
 
-/// Boxes that together hold the mesh: the largest are opened first.
-fn cut(bvh2: &Bvh2) -> Vec<Aabb> {
+/// Whether a transform leaves anything of a surface: it can be inverted.
+pub(super) fn is_visible(placement: &Placement) -> bool {
+    let Instance { inverse, translation, .. } = Instance::new(placement);
+    inverse.is_finite() && inverse != Mat3::ZERO && translation.is_finite()
+}
+
+/// Boxes that together hold the mesh: of a BVH's nodes the largest are opened first.
+fn cut(structure: &Structure) -> Vec<Aabb> {
+    let Some(bvh2) = structure.bvh2() else { return vec![structure.bounds()] };
     let area = |index: usize| {
         let e = bvh2.nodes[index].bounds().extent();
         e.x * e.y + e.y * e.z + e.z * e.x
@@ -223,7 +200,7 @@ fn world_bounds(cut: &[Aabb], transform: &Affine3A) -> Aabb {
 }
 
 struct InstanceVisitor<'a, S> {
-    scene: &'a SceneAccel,
+    scene: Scene<'a>,
     ray: &'a Ray,
     filter: &'a dyn HitFilter,
     sink: &'a mut S,
@@ -234,8 +211,8 @@ impl<S: Sink> LeafVisitor for InstanceVisitor<'_, S> {
     #[inline(always)]
     fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
         for entry in entries {
-            let number = self.scene.top_entries[entry];
-            let object_ray = self.scene.instances[number as usize].to_object(self.ray, self.sink.t_limit());
+            let number = self.scene.top.top_entries[entry];
+            let object_ray = self.scene.top.instances[number as usize].to_object(self.ray, self.sink.t_limit());
             if self.scene.walk_instance(number, self.ray, &object_ray, self.filter, self.sink, &mut self.counters) {
                 return true;
             }
@@ -246,43 +223,6 @@ impl<S: Sink> LeafVisitor for InstanceVisitor<'_, S> {
     #[inline(always)]
     fn t_limit(&self) -> f32 {
         self.sink.t_limit()
-    }
-}
-
-struct Closest {
-    best: Hit,
-    found: bool,
-}
-
-impl Sink for Closest {
-    #[inline(always)]
-    fn t_limit(&self) -> f32 {
-        self.best.t
-    }
-
-    #[inline(always)]
-    fn offer(&mut self, hit: Hit) -> bool {
-        let tie = hit.t == self.best.t && (hit.instance, hit.primitive) < (self.best.instance, self.best.primitive);
-        if hit.t < self.best.t || tie {
-            *self = Self { best: hit, found: true };
-        }
-        false
-    }
-}
-
-struct Any {
-    t_max: f32,
-}
-
-impl Sink for Any {
-    #[inline(always)]
-    fn t_limit(&self) -> f32 {
-        self.t_max
-    }
-
-    #[inline(always)]
-    fn offer(&mut self, hit: Hit) -> bool {
-        hit.t < self.t_max
     }
 }
 

@@ -141,7 +141,7 @@ mod tests {
         let mut scene = scene(vec![(square(), matte(0.5, 1.0), Affine3A::IDENTITY)]);
         let mut settings = settings(Integrator::Direct, camera(Vec3::ZERO, Vec3::Z, 3.0, 1.0), 0.0);
         change(&mut scene, &mut settings);
-        let accel = SceneAccel::build(Vec::new(), &[]);
+        let accel = SceneAccel::build(Vec::<crate::accel::Structure>::new(), &[]);
         pack(&scene, &settings, Arc::new(accel)).map(|_| ()).expect_err("must be refused").to_string()
     }
 

@@ -10,8 +10,9 @@ use std::ops::Range;
 use super::object_ray::{BoxRay, ObjectRay};
 use super::packet::{PacketRay, test_spheres, test_triangles};
 use super::simd::{Isa, Lanes, Portable};
-use super::{Counters, Hit};
+use super::{Counters, Hit, cells};
 use crate::accel::bvh2::MAX_DEPTH;
+use crate::accel::cells::CellTree;
 use crate::accel::wide::{ChildRef, Node, WIDTH, WideBvh};
 
 /// Takes hits as they are found.
@@ -195,6 +196,24 @@ impl Kernels {
         }
     }
 
+    /// Offers the sink what `ray` (in object space) hits in a tree of cells.
+    #[inline]
+    pub(crate) fn walk_cells<S: Sink>(
+        self,
+        tree: &CellTree,
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    ) -> bool {
+        match self {
+            Self::Portable => cells::walk::<Portable, S>(tree, ray, instance, sink, counters),
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: `Avx2` is only made after the CPU was asked.
+            Self::Avx2 => unsafe { x86::walk_cells(tree, ray, instance, sink, counters) },
+        }
+    }
+
     /// Visits the leaves of a top level; a leaf's entries are positions in its tree's primitives.
     #[inline]
     pub(crate) fn walk_top(
@@ -215,7 +234,7 @@ impl Kernels {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh};
+    use super::{CellTree, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh, cells};
     use crate::trace::simd::Avx2;
 
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
@@ -227,6 +246,17 @@ mod x86 {
         counters: &mut Counters,
     ) -> bool {
         super::walk_mesh::<Avx2, S>(bvh, ray, instance, sink, counters)
+    }
+
+    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+    pub(super) fn walk_cells<S: Sink>(
+        tree: &CellTree,
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    ) -> bool {
+        cells::walk::<Avx2, S>(tree, ray, instance, sink, counters)
     }
 
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]

@@ -1,5 +1,6 @@
 //! Rays, hits, and the CPU kernels that bring them together.
 
+mod cells;
 mod kernel;
 mod object_ray;
 mod packet;
@@ -44,6 +45,7 @@ pub struct Hit {
 /// not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
+    /// Boxes tested, and cells stepped through.
     pub box_tests: u64,
     pub triangle_tests: u64,
 }

@@ -13,6 +13,8 @@ pub(crate) struct ObjectRay {
     pub origin: Vec3,
     pub direction: Vec3,
     pub t_min: f32,
+    /// From the origin to the far side of the tree's box, on the axis on which that is farthest.
+    pub reach: f32,
     /// By how much boxes must grow so that none is missed that holds a hit: see [`Self::new`].
     slack: f32,
 }
@@ -40,7 +42,7 @@ impl ObjectRay {
         }
         let reach = (bounds.min - ray.origin).abs().max((bounds.max - ray.origin).abs()).max_element();
         let slack = reach * (8.0 * 0.5 * f32::EPSILON);
-        Some(Self { origin: ray.origin, direction, t_min: ray.t_min.max(0.0), slack })
+        Some(Self { origin: ray.origin, direction, t_min: ray.t_min.max(0.0), reach, slack })
     }
 }
 

@@ -3,10 +3,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicUsize;
 
-use lightshaft_engine::accel::Quality;
+use lightshaft_engine::accel::{BuildParams, NTreeParams, Quality};
 use lightshaft_engine::scene::{Limits, Params, Source, generate, import};
+use std::sync::Arc;
 
-const PARAMS: BuildParams = BuildParams { quality: Quality::Medium, spatial_splits: false };
+const PARAMS: StructureParams = StructureParams::Bvh(BuildParams { quality: Quality::Medium, spatial_splits: false });
 static GO: AtomicBool = AtomicBool::new(false);
 
 fn mesh() -> Arc<Mesh> {
@@ -74,8 +75,26 @@ fn other_parameters_are_another_structure() {
     let cache = StructureCache::new(1 << 30, None);
     let mesh = mesh();
     get(&cache, &mesh);
-    let other = BuildParams { quality: Quality::Fast, ..PARAMS };
+    let other = BuildParams { quality: Quality::Fast, spatial_splits: false }.into();
     assert_eq!(cache.get(&mesh, &other, None, &GO).unwrap().report.source, CacheSource::Built);
+}
+
+#[test]
+fn trees_of_cells_are_kept_like_any_other_structure() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = mesh();
+    let params = StructureParams::NTree(NTreeParams { n: 4, depth: 3, max_leaf: 4, budget_bytes: 1 << 28 });
+    let source = |cache: &StructureCache| {
+        let obtained = cache.get(&mesh, &params, None, &GO).unwrap();
+        assert!(obtained.structure.cells().is_some() && obtained.report.structure == "ntree n=4,depth=3,max_leaf=4");
+        obtained.report.source
+    };
+    let cache = on_disk(folder.path(), 1 << 30);
+    assert_eq!([source(&cache), source(&cache)], [CacheSource::Built, CacheSource::Memory]);
+    assert_eq!(source(&on_disk(folder.path(), 0)), CacheSource::Disk);
+    // The budget does not decide what is built.
+    let larger = StructureParams::NTree(NTreeParams { n: 4, depth: 3, max_leaf: 4, budget_bytes: 1 << 30 });
+    assert_eq!(cache.get(&mesh, &larger, None, &GO).unwrap().report.source, CacheSource::Memory);
 }
 
 #[test]

@@ -143,6 +143,14 @@ pub(super) fn primitive_bounds(mesh: &Mesh, primitive: usize) -> Aabb {
     Aabb { min: min.map(f32::next_down), max: max.map(f32::next_up) }
 }
 
+/// The box around all primitives that a ray can hit.
+pub(super) fn traceable_bounds(mesh: &Mesh) -> Aabb {
+    (0..mesh.primitive_count())
+        .map(|primitive| primitive_bounds(mesh, primitive))
+        .filter(|bounds| bounds.min.is_finite() && bounds.max.is_finite())
+        .fold(Aabb::EMPTY, Aabb::union)
+}
+
 pub(super) fn check(cancel: &AtomicBool) -> Result<(), BuildError> {
     if cancel.load(Ordering::Relaxed) { Err(BuildError::Cancelled) } else { Ok(()) }
 }

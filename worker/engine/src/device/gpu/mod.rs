@@ -65,6 +65,11 @@ impl Device for GpuDevice {
         scene: Arc<PackedScene>,
         settings: &RenderSettings,
     ) -> Result<Box<dyn Renderer>, DeviceError> {
+        if scene.accel.is_flat() || scene.accel.structures().iter().any(|structure| structure.bvh2().is_none()) {
+            return Err(DeviceError::Other(
+                "the GPU walks acceleration structure two_level alone so far: ask for that, or for device cpu".into(),
+            ));
+        }
         // A job before this one may have lost the device.
         if self.context.check().is_err() {
             self.context = Arc::new(Context::open(self.adapter.as_deref())?);

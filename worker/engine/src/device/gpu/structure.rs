@@ -139,13 +139,13 @@ impl HostStructure {
         host
     }
 
-    /// The structure of a packed scene.
+    /// The structure of a packed scene, which must be of two levels of BVHs.
     pub fn of_scene(scene: &PackedScene) -> Self {
         let meshes: Vec<_> = scene
             .meshes
             .iter()
             .zip(scene.accel.structures())
-            .map(|(m, s)| MeshView::packed(scene, m, s.bvh2()))
+            .filter_map(|(m, s)| Some(MeshView::packed(scene, m, s.bvh2()?)))
             .collect();
         let placements: Vec<_> = scene.instances.iter().map(PlacementView::packed).collect();
         Self::wide(scene.accel.top(), &meshes, &placements)

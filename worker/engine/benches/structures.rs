@@ -1,0 +1,151 @@
+//! Rays per second, memory and build time of every acceleration structure beside the two-level BVH, in the same run.
+//!
+//! `cargo bench -p lightshaft-engine --bench structures -- [--rounds 5] [--threads 2] [--rays 500000]
+//! [--scene FILE.glb]...`
+//!
+//! Rounds are interleaved, so that a machine's moods meet all alike; the table shows medians, and in brackets the ratio
+//! to `two_level`. Rays: see `common/rays.rs`.
+
+#[path = "common/mod.rs"]
+mod common;
+#[path = "common/rays.rs"]
+mod rays;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use common::{Random, median, number, terrain, timed, values};
+use glam::{Affine3A, Vec3};
+use lightshaft_engine::accel::{
+    BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Placement, Quality, SceneAccel, Structure,
+    StructureParams, flatten,
+};
+use lightshaft_engine::pack::placements;
+use lightshaft_engine::scene::{Limits, Mesh, import_file};
+use lightshaft_engine::trace::Ray;
+use rays::{Ours, ray_sets, trace};
+
+fn main() {
+    let threads = number("--threads", 2);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let files = values("--scene");
+    if files.is_empty() {
+        let placement = Placement { mesh: 0, transform: Affine3A::IDENTITY, filtered: false };
+        pool.install(|| run("terrain", &[Arc::new(terrain())], &[placement], threads));
+    }
+    for file in files {
+        let scene = import_file(Path::new(&file), &Limits::default()).expect("a scene");
+        pool.install(|| run(&file, &scene.meshes, &placements(&scene), threads));
+    }
+}
+
+/// What is compared, all over the whole scene.
+fn flat_structures() -> Vec<(&'static str, StructureParams)> {
+    let budget_bytes = 8 << 30;
+    let bvh = |quality| StructureParams::Bvh(BuildParams { quality, spatial_splits: false });
+    let grid =
+        |cells| StructureParams::Grid(GridParams { resolution: GridResolution::PerPrimitive(cells), budget_bytes });
+    let ntree = |n, depth| StructureParams::NTree(NTreeParams { n, depth, max_leaf: 8, budget_bytes });
+    vec![
+        ("bvh medium", bvh(Quality::Medium)),
+        ("bvh high", bvh(Quality::High)),
+        ("grid, 4 cells/primitive", grid(4)),
+        ("octree, depth 12", StructureParams::Octree(OctreeParams { depth: 12, max_leaf: 8, budget_bytes })),
+        ("ntree (4, 5)", ntree(4, 5)),
+        ("ntree (6, 3)", ntree(6, 3)),
+        ("ntree (6, 4)", ntree(6, 4)),
+        ("ntree (8, 3)", ntree(8, 3)),
+        ("ntree (10, 3)", ntree(10, 3)),
+    ]
+}
+
+struct Candidate {
+    name: &'static str,
+    build_s: f64,
+    bytes: usize,
+    nodes: usize,
+    scene: Ours,
+}
+
+impl Candidate {
+    fn new(name: &'static str, build_s: f64, scene: SceneAccel) -> Self {
+        let bytes = scene.structures().iter().map(Structure::bytes).sum::<usize>() + scene.top_bytes();
+        let nodes = scene.structures().iter().map(Structure::node_count).sum::<usize>() + scene.top().nodes.len();
+        Self { name, build_s, bytes, nodes, scene: Ours(scene) }
+    }
+}
+
+fn two_level(meshes: &[Arc<Mesh>], placements: &[Placement], quality: Quality) -> SceneAccel {
+    let params = StructureParams::Bvh(BuildParams { quality, spatial_splits: false });
+    let build = |mesh: &Arc<Mesh>| Structure::build(mesh, &params, &AtomicBool::new(false)).expect("builds");
+    SceneAccel::build(meshes.iter().map(build).collect(), placements)
+}
+
+fn run(name: &str, meshes: &[Arc<Mesh>], placements: &[Placement], threads: usize) {
+    let mut candidates = vec![];
+    for (name, quality) in [("two_level", Quality::Medium), ("two_level high", Quality::High)] {
+        let (build_s, scene) = timed(|| two_level(meshes, placements, quality));
+        candidates.push(Candidate::new(name, build_s, scene));
+    }
+    let (flatten_s, flat) = timed(|| flatten(meshes, placements));
+    let (flat, names) = flat.expect("flattens");
+    let rounds = number("--rounds", 5);
+    println!(
+        "{name}: {} primitives in {} instances (made flat in {flatten_s:.2} s), {threads} threads, medians of {rounds} \
+         interleaved rounds, MRays/s (times two_level)",
+        flat.primitive_count(),
+        placements.len()
+    );
+    for (name, params) in flat_structures() {
+        match timed(|| Structure::build(&flat, &params, &AtomicBool::new(false))) {
+            (build_s, Ok(built)) => {
+                candidates.push(Candidate::new(name, build_s, SceneAccel::flat(built, names.clone())))
+            }
+            (_, Err(error)) => println!("{name}: {error}"),
+        }
+    }
+    let on_surface = Ours(SceneAccel::build(
+        vec![Structure::build(&flat, &BuildParams::default().into(), &AtomicBool::new(false)).expect("builds")],
+        &[Placement { mesh: 0, transform: Affine3A::IDENTITY, filtered: false }],
+    ));
+    let surface = |ray: &Ray| {
+        let hit = on_surface.hit(ray)?;
+        let point = ray.origin + hit.t * ray.direction;
+        let normal = match flat.triangles.get(hit.primitive as usize) {
+            Some(triangle) => {
+                let [a, b, c] = triangle.map(|vertex| flat.positions[vertex as usize]);
+                (b - a).cross(c - a)
+            }
+            None => point - flat.spheres[hit.primitive as usize - flat.triangles.len()].center,
+        };
+        let normal = normal.normalize_or(Vec3::Y);
+        Some((point, if normal.dot(ray.direction) > 0.0 { -normal } else { normal }))
+    };
+    let sets = ray_sets(&flat.bounds, number("--rays", 500_000), surface);
+
+    let mut rates = vec![vec![vec![]; sets.len()]; candidates.len()];
+    let mut hits = vec![vec![0; sets.len()]; candidates.len()];
+    for _ in 0..rounds {
+        for (set_number, set) in sets.iter().enumerate() {
+            for (number, candidate) in candidates.iter().enumerate() {
+                let (seconds, count) = timed(|| trace(&candidate.scene, set));
+                rates[number][set_number].push(set.rays.len() as f64 / seconds / 1e6);
+                hits[number][set_number] = count;
+            }
+        }
+    }
+    print!("{:<26}{:>9}{:>9}{:>10}", "", "build s", "MB", "nodes");
+    sets.iter().for_each(|set| print!("{:>18}", set.name));
+    println!();
+    let medians: Vec<Vec<f64>> =
+        rates.iter_mut().map(|sets| sets.iter_mut().map(|rates| median(rates)).collect()).collect();
+    for (number, candidate) in candidates.iter().enumerate() {
+        let megabytes = candidate.bytes as f64 / 1e6;
+        print!("{:<26}{:>9.2}{megabytes:>9.1}{:>10}", candidate.name, candidate.build_s, candidate.nodes);
+        for (rate, base) in medians[number].iter().zip(&medians[0]) {
+            print!("{:>18}", format!("{rate:.2} ({:.2})", rate / base));
+        }
+        println!("   hits {:?}", hits[number]);
+    }
+}

@@ -1,0 +1,155 @@
+//! What rays are traced against: one or more structures, placed in the world.
+
+use glam::Affine3A;
+
+use super::flat::{NamedSink, Names};
+use super::two_level::TwoLevel;
+use super::{Bvh2, Structure};
+use crate::trace::{Counters, Hit, Kernels, ObjectRay, Ray, Sink};
+
+/// One placed mesh, as the top level sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Placement {
+    /// Index into the scene's structures.
+    pub mesh: u32,
+    pub transform: Affine3A,
+    /// Candidate hits of this instance go through the [`HitFilter`].
+    pub filtered: bool,
+}
+
+/// Decides whether a candidate hit counts (alpha mask and blend). Must depend on the hit alone, never on the order of
+/// the calls: the same ray gives the same answers on every device.
+pub trait HitFilter {
+    fn accept(&self, ray: &Ray, hit: &Hit) -> bool;
+}
+
+/// A scene of placed structures: a top level over one structure for each mesh, or one structure over everything.
+#[derive(Debug)]
+pub struct SceneAccel {
+    structures: Vec<Structure>,
+    form: Form,
+    kernels: Kernels,
+}
+
+#[derive(Debug)]
+enum Form {
+    TwoLevel(TwoLevel),
+    /// One structure in world space.
+    Flat(Names),
+}
+
+/// The top level of a scene that has none.
+static NO_TOP: Bvh2 = Bvh2 { nodes: Vec::new(), primitives: Vec::new() };
+
+impl SceneAccel {
+    /// Builds the top level over structures of any kind. An instance whose transform cannot be inverted has no surface
+    /// and is left out.
+    ///
+    /// # Panics
+    /// When a placement refers to a structure that is not there, or with more than 2^27 placements.
+    pub fn build<T: Into<Structure>>(structures: Vec<T>, placements: &[Placement]) -> Self {
+        let structures: Vec<Structure> = structures.into_iter().map(Into::into).collect();
+        let top = TwoLevel::build(&structures, placements);
+        Self { structures, form: Form::TwoLevel(top), kernels: Kernels::detect() }
+    }
+
+    /// One structure over the mesh that [`flatten`](super::flatten) made, with the names that it gave.
+    pub fn flat(structure: impl Into<Structure>, names: Names) -> Self {
+        Self { structures: vec![structure.into()], form: Form::Flat(names), kernels: Kernels::detect() }
+    }
+
+    /// The same scene, walked by other kernels than the best for this CPU: their answers are the same.
+    pub fn with_kernels(self, kernels: Kernels) -> Self {
+        Self { kernels, ..self }
+    }
+
+    /// The nearest hit in `(t_min, t_max)`. Of several at the same `t` the one of the lowest instance counts, and in it
+    /// that of the lowest primitive: so the answer does not depend on the structure.
+    pub fn closest(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> Option<Hit> {
+        let nothing = Hit { t: ray.t_max, u: 0.0, v: 0.0, instance: 0, primitive: 0 };
+        let mut sink = Closest { best: nothing, found: false };
+        self.walk(ray, filter, &mut sink, counters);
+        sink.found.then_some(sink.best)
+    }
+
+    /// Whether anything is hit in `(t_min, t_max)`.
+    pub fn occluded(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
+        self.walk(ray, filter, &mut Any { t_max: ray.t_max }, counters)
+    }
+
+    #[inline(always)]
+    fn walk(&self, ray: &Ray, filter: &dyn HitFilter, sink: &mut impl Sink, counters: &mut Counters) -> bool {
+        match &self.form {
+            Form::TwoLevel(top) => top.walk(&self.structures, self.kernels, ray, filter, sink, counters),
+            Form::Flat(names) => {
+                let structure = &self.structures[0];
+                let Some(object_ray) = ObjectRay::new(ray, &structure.bounds()) else { return false };
+                let mut sink = NamedSink { names, filter, ray, sink };
+                structure.walk(self.kernels, &object_ray, 0, &mut sink, counters)
+            }
+        }
+    }
+
+    /// Bytes of the top level alone.
+    pub fn top_bytes(&self) -> usize {
+        match &self.form {
+            Form::TwoLevel(top) => top.bytes(),
+            Form::Flat(names) => names.bytes(),
+        }
+    }
+
+    /// The top level over world-space instance bounds, whose primitives are instance numbers; empty in a flat scene.
+    pub fn top(&self) -> &Bvh2 {
+        match &self.form {
+            Form::TwoLevel(top) => top.tree(),
+            Form::Flat(_) => &NO_TOP,
+        }
+    }
+
+    /// One structure for each mesh, or the one of a flat scene.
+    pub fn structures(&self) -> &[Structure] {
+        &self.structures
+    }
+
+    /// Whether one structure holds all instances.
+    pub fn is_flat(&self) -> bool {
+        matches!(self.form, Form::Flat(_))
+    }
+}
+
+struct Closest {
+    best: Hit,
+    found: bool,
+}
+
+impl Sink for Closest {
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.best.t
+    }
+
+    #[inline(always)]
+    fn offer(&mut self, hit: Hit) -> bool {
+        let tie = hit.t == self.best.t && (hit.instance, hit.primitive) < (self.best.instance, self.best.primitive);
+        if hit.t < self.best.t || tie {
+            *self = Self { best: hit, found: true };
+        }
+        false
+    }
+}
+
+struct Any {
+    t_max: f32,
+}
+
+impl Sink for Any {
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.t_max
+    }
+
+    #[inline(always)]
+    fn offer(&mut self, hit: Hit) -> bool {
+        hit.t < self.t_max
+    }
+}
