@@ -53,7 +53,7 @@ fn path_hit(slot: u32, path: PathState, ray: Ray, hit: Hit) {
     }
 
     let frame = basis(surface.normal);
-    let bsdf = make_bsdf(surface.base_color, surface.metallic, surface.roughness,
+    let bsdf = make_bsdf(surface.base_color, surface.metallic, surface.roughness, surface.dielectric_f0,
         to_local(frame, surface.normal, to_viewer));
     let dimensions = SET_PATH + wave.bounce * SETS_PER_BOUNCE;
     let sample = path_sample(slot);

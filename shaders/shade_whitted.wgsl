@@ -30,7 +30,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
     let frame = basis(surface.normal);
     let wo = to_local(frame, surface.normal, to_viewer);
-    let bsdf = make_bsdf(surface.base_color, surface.metallic, surface.roughness, wo);
+    let bsdf = make_bsdf(surface.base_color, surface.metallic, surface.roughness, surface.dielectric_f0, wo);
     let is_mirror = surface.roughness < MIRROR_ROUGHNESS;
     let sample = path_sample(slot);
     let numbers = sample_4d_bits(sample.seed, sample.index, SET_PATH + wave.bounce * SETS_PER_BOUNCE);

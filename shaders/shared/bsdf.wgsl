@@ -1,6 +1,5 @@
 // Twin of integrate/bsdf.rs.
 
-const DIELECTRIC_F0 = 0.04;
 const MIN_ALPHA = 1e-3;
 const GGX_TABLE_SIZE = 32u;
 
@@ -10,6 +9,7 @@ struct Bsdf {
     f0: vec3<f32>,
     multiple: vec3<f32>,
     diffuse: vec3<f32>,
+    dielectric_f0: f32,
     dielectric_multiple: f32,
     wo: vec3<f32>,
     lost_o: f32,
@@ -55,29 +55,36 @@ fn multiple_fresnel(f0: f32, average: f32) -> f32 {
     return f * f * average / (1.0 - f * (1.0 - average));
 }
 
-fn make_bsdf(base_color: vec3<f32>, metallic: f32, roughness: f32, wo: vec3<f32>) -> Bsdf {
+fn multiple_color(f0: vec3<f32>, average: f32) -> vec3<f32> {
+    return vec3<f32>(
+        multiple_fresnel(f0.x, average),
+        multiple_fresnel(f0.y, average),
+        multiple_fresnel(f0.z, average),
+    );
+}
+
+fn make_bsdf(
+    base_color: vec3<f32>, metallic: f32, roughness: f32, dielectric_f0: vec3<f32>, wo: vec3<f32>,
+) -> Bsdf {
     var bsdf: Bsdf;
     bsdf.wo = wo;
     bsdf.roughness = roughness;
     bsdf.alpha = max(roughness * roughness, MIN_ALPHA);
-    bsdf.f0 = vec3<f32>(DIELECTRIC_F0 * (1.0 - metallic)) + base_color * metallic;
+    bsdf.f0 = dielectric_f0 * (1.0 - metallic) + base_color * metallic;
     let ab_o = ggx_albedo(roughness, wo.z);
     let ab_mean = ggx_average_albedo(roughness);
     let average = ab_mean.x + ab_mean.y;
 
-    let metal_multiple = vec3<f32>(
-        multiple_fresnel(base_color.x, average),
-        multiple_fresnel(base_color.y, average),
-        multiple_fresnel(base_color.z, average),
-    );
-    bsdf.dielectric_multiple = multiple_fresnel(DIELECTRIC_F0, average);
+    let metal_multiple = multiple_color(base_color, average);
+    let glossy_multiple = multiple_color(dielectric_f0, average);
+    bsdf.dielectric_f0 = max(max(dielectric_f0.x, dielectric_f0.y), dielectric_f0.z);
+    bsdf.dielectric_multiple = multiple_fresnel(bsdf.dielectric_f0, average);
     let lost_average = max(1.0 - average, 1e-6);
-    bsdf.multiple = (vec3<f32>(bsdf.dielectric_multiple * (1.0 - metallic)) + metal_multiple * metallic)
-        * (INV_PI / lost_average);
+    bsdf.multiple = (glossy_multiple * (1.0 - metallic) + metal_multiple * metallic) * (INV_PI / lost_average);
 
     bsdf.lost_o = max(1.0 - ab_o.x - ab_o.y, 0.0);
-    bsdf.left_o = 1.0 - (DIELECTRIC_F0 * ab_o.x + ab_o.y + bsdf.dielectric_multiple * bsdf.lost_o);
-    let left_average = 1.0 - (DIELECTRIC_F0 * ab_mean.x + ab_mean.y + bsdf.dielectric_multiple * lost_average);
+    bsdf.left_o = max(1.0 - (bsdf.dielectric_f0 * ab_o.x + ab_o.y + bsdf.dielectric_multiple * bsdf.lost_o), 0.0);
+    let left_average = 1.0 - (bsdf.dielectric_f0 * ab_mean.x + ab_mean.y + bsdf.dielectric_multiple * lost_average);
     bsdf.diffuse = base_color * ((1.0 - metallic) * INV_PI / max(left_average, 1e-6));
 
     let specular = luminance(bsdf.f0 * ab_o.x + vec3<f32>(ab_o.y));
@@ -139,7 +146,7 @@ fn eval_cosine_lobes(bsdf: Bsdf, wi: vec3<f32>) -> vec3<f32> {
     }
     let ab_i = ggx_albedo(bsdf.roughness, wi.z);
     let lost_i = max(1.0 - ab_i.x - ab_i.y, 0.0);
-    let left_i = 1.0 - (DIELECTRIC_F0 * ab_i.x + ab_i.y + bsdf.dielectric_multiple * lost_i);
+    let left_i = max(1.0 - (bsdf.dielectric_f0 * ab_i.x + ab_i.y + bsdf.dielectric_multiple * lost_i), 0.0);
     return (bsdf.multiple * (bsdf.lost_o * lost_i) + bsdf.diffuse * (bsdf.left_o * left_i)) * wi.z;
 }
 

@@ -30,11 +30,13 @@ struct PackedInstance {
 const MATERIAL_ALPHA_MASK = 1u;
 const MATERIAL_ALPHA_BLEND = 2u;
 const MATERIAL_UNLIT = 8u;
+const MATERIAL_SPECULAR_GLOSSINESS = 16u;
 
 struct PackedMaterial {
     base_color: vec4<f32>,
     emissive: vec3<f32>,
     metallic: f32,
+    dielectric_f0: vec3<f32>,
     roughness: f32,
     normal_scale: f32,
     alpha_cutoff: f32,
@@ -43,6 +45,7 @@ struct PackedMaterial {
     metallic_roughness_texture: u32,
     normal_texture: u32,
     emissive_texture: u32,
+    _pad: u32,
 }
 
 const WRAP_MIRRORED = 1u;

@@ -1,6 +1,8 @@
 // Twin of integrate/surface.rs.
 
 const MIN_VIEW_COSINE = 0.01;
+const MIN_MIRROR_COSINE = 0.01;
+const MIN_MIRROR_SHARE = 0.9;
 
 struct SurfacePoint {
     position: vec3<f32>,
@@ -23,6 +25,7 @@ struct Surface {
     base_color: vec3<f32>,
     metallic: f32,
     roughness: f32,
+    dielectric_f0: vec3<f32>,
     emission: vec3<f32>,
     material: u32,
     flags: u32,
@@ -168,8 +171,7 @@ fn emission(material: u32, point: SurfacePoint) -> vec3<f32> {
     return e;
 }
 
-fn mapped_normal(material: u32, point: SurfacePoint) -> vec3<f32> {
-    let n = point.smooth_normal;
+fn mapped_normal(material: u32, point: SurfacePoint, n: vec3<f32>) -> vec3<f32> {
     let number = materials[material].normal_texture;
     if number == NONE || point.bitangent_sign == 0.0 {
         return n;
@@ -184,34 +186,55 @@ fn mapped_normal(material: u32, point: SurfacePoint) -> vec3<f32> {
     return normalize_or(tangent * x + bitangent * y + n * z, n);
 }
 
+fn facing_viewer(normal: vec3<f32>, geometric_normal: vec3<f32>, to_viewer: vec3<f32>) -> vec3<f32> {
+    let cosine = dot(normal, to_viewer);
+    if cosine >= MIN_VIEW_COSINE {
+        return normal;
+    }
+    return normalize_or(normal + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal);
+}
+
+fn valid_normal(normal: vec3<f32>, geometric_normal: vec3<f32>, to_viewer: vec3<f32>) -> vec3<f32> {
+    let n = facing_viewer(normal, geometric_normal, to_viewer);
+    let mirrored = n * (2.0 * dot(n, to_viewer)) - to_viewer;
+    let height = dot(mirrored, geometric_normal);
+    let least = min(MIN_MIRROR_COSINE, MIN_MIRROR_SHARE * dot(geometric_normal, to_viewer));
+    if height >= least {
+        return n;
+    }
+    let lifted = normalize_or(mirrored + geometric_normal * (least - height), geometric_normal);
+    return normalize_or(lifted + to_viewer, geometric_normal);
+}
+
 fn shade_point(point: SurfacePoint, to_viewer: vec3<f32>) -> Surface {
     let material = materials[point.material];
     let color = base_color(point.material, point);
     var metallic = material.metallic;
     var roughness = material.roughness;
+    var dielectric_f0 = material.dielectric_f0;
     if material.metallic_roughness_texture != NONE {
         let t = sample_texture(material.metallic_roughness_texture, point.uv0, point.uv1);
-        roughness *= t.y;
-        metallic *= t.z;
+        if (material.flags & MATERIAL_SPECULAR_GLOSSINESS) != 0u {
+            dielectric_f0 *= t.xyz;
+            roughness = 1.0 - (1.0 - roughness) * t.w;
+        } else {
+            roughness *= t.y;
+            metallic *= t.z;
+        }
     }
-    var geometric_normal = point.geometric_normal;
-    var normal = mapped_normal(point.material, point);
-    if dot(geometric_normal, to_viewer) < 0.0 {
-        geometric_normal = -geometric_normal;
-        normal = -normal;
-    }
-    let cosine = dot(normal, to_viewer);
-    if cosine < MIN_VIEW_COSINE {
-        normal = normalize_or(normal + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal);
-    }
+    let side = select(1.0, -1.0, dot(point.geometric_normal, to_viewer) < 0.0);
+    let geometric_normal = point.geometric_normal * side;
+    let smooth_normal = valid_normal(point.smooth_normal * side, geometric_normal, to_viewer);
+    let normal = mapped_normal(point.material, point, smooth_normal * side) * side;
     return Surface(
         point.position,
         point.error,
         geometric_normal,
-        normal,
+        facing_viewer(normal, geometric_normal, to_viewer),
         clamp(color.xyz, vec3<f32>(0.0), vec3<f32>(1.0)),
         clamp(metallic, 0.0, 1.0),
         clamp(roughness, 0.0, 1.0),
+        dielectric_f0,
         emission(point.material, point),
         point.material,
         material.flags,

@@ -6,10 +6,13 @@
 //! ```
 //!
 //! The references' folder holds `settings.json`, a list of `{name, file, width, height, spp, camera, settings}`, and
-//! `<name>.exr`. With `--out`, each picture is left there as a PNG strip: reference, ours, FLIP heat map.
+//! `<name>.exr`. With `--out`, each picture is left there as the EXR of the job and as a PNG strip: reference, ours, FLIP
+//! heat map. `regions` are the lowest and the highest mean ratio of the picture's 8 x 6 parts: noise averages out there,
+//! and a fault that the whole picture's mean hides does not.
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
@@ -42,6 +45,9 @@ struct Arguments {
     #[arg(long)]
     skip_uploads: bool,
 }
+
+/// Parts of a picture that are compared by their means.
+const REGIONS: (usize, usize) = (8, 6);
 
 #[derive(Deserialize)]
 struct Reference {
@@ -93,55 +99,97 @@ async fn compare_all(service: &Service, arguments: &Arguments, references: &Path
     let settings = fs::read(references.join("settings.json")).context("settings.json of the references")?;
     let list: Vec<Reference> = serde_json::from_slice(&settings)?;
     println!(
-        "| scene | device | render s | FLIP mean | FLIP 99 % | relMSE | mean ratio | FLIP to {} |",
+        "| scene | device | spp | render s | MRays/s | FLIP mean | FLIP 99 % | relMSE | mean ratio | regions | FLIP to {} |",
         arguments.devices[0]
     );
-    println!("|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     for reference in list.iter().filter(|r| arguments.only.is_empty() || arguments.only.contains(&r.name)) {
         let path = references.join(format!("{}.exr", reference.name));
         let expected = picture::exr(&fs::read(&path).with_context(|| path.display().to_string())?);
         let reply = upload(service, &arguments.scenes.join(&reference.file)).await?;
         if reply.status >= 300 {
-            println!("| {} | not uploaded: {} | | | | | | |", reference.name, text(&reply.json()["detail"]));
+            println!("| {} | not uploaded: {} | | | | | | | | | |", reference.name, text(&reply.json()["detail"]));
             continue;
         }
         let scene = reply.json()["id"].as_str().context("a scene's id")?.to_owned();
         let mut first: Option<Image> = None;
         for device in &arguments.devices {
             let job = service.submit(&scene, job_settings(reference, device, arguments.spp)).await;
-            let job = service.job_in(&job, &["succeeded", "failed", "cancelled"]).await;
+            let job = ended(service, &job).await;
             if job["state"] != "succeeded" {
-                println!(
-                    "| {} | {device} | {}: {} | | | | | |",
-                    reference.name,
-                    text(&job["state"]),
-                    text(&job["error"])
-                );
+                let (state, error) = (text(&job["state"]), text(&job["error"]));
+                println!("| {} | {device} | {state}: {error} | | | | | | | | |", reference.name);
                 continue;
             }
-            let ours = picture::exr(&service.artifact(&job, "image.exr").await);
-            let comparison = picture::against(&expected, &ours);
-            let report = &comparison.report;
-            let to_first = first
-                .as_ref()
-                .map_or(String::new(), |first| format!("{:.4}", picture::against(first, &ours).report.flip_mean));
-            println!(
-                "| {} | {device} | {:.1} | {:.4} | {:.3} | {:.4} | {:.4} | {to_first} |",
-                reference.name,
-                job["metrics"]["render_s"].as_f64().unwrap_or(f64::NAN),
-                report.flip_mean,
-                report.flip_p99,
-                report.differences.rel_mse,
-                report.differences.mean_ratio.unwrap_or(f64::NAN),
-            );
+            let file = service.artifact(&job, "image.exr").await;
+            let ours = picture::exr(&file);
+            let strip = row(reference, device, &job, &expected, &ours, first.as_ref());
             if let Some(out) = &arguments.out {
-                let strip = [expected.to_srgb8(0.0), ours.to_srgb8(0.0), heat_map(&comparison.flip)];
+                fs::create_dir_all(out)?;
+                fs::write(out.join(format!("{}-{device}.exr", reference.name)), &file)?;
                 save_strip(&out.join(format!("{}-{device}.png", reference.name)), &expected, &strip)?;
             }
             first.get_or_insert(ours);
         }
     }
     Ok(())
+}
+
+/// Waits for a job's end, however long it takes.
+async fn ended(service: &Service, id: &str) -> Value {
+    loop {
+        let job = service.job(id).await;
+        if matches!(text(&job["state"]), "succeeded" | "failed" | "cancelled") {
+            return job;
+        }
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+/// Prints one row of the table. Gives the reference, ours and the heat map of their difference.
+fn row(
+    reference: &Reference,
+    device: &str,
+    job: &Value,
+    expected: &Image,
+    ours: &Image,
+    first: Option<&Image>,
+) -> [Vec<u8>; 3] {
+    let comparison = picture::against(expected, ours);
+    let report = &comparison.report;
+    let to_first =
+        first.map_or(String::new(), |first| format!("{:.5}", picture::against(first, ours).report.flip_mean));
+    let (darkest, brightest) = region_ratios(expected, ours);
+    println!(
+        "| {} | {device} | {} | {:.1} | {:.1} | {:.4} | {:.3} | {:.4} | {:.4} | {darkest:.3} to {brightest:.3} | {to_first} |",
+        reference.name,
+        job["metrics"]["spp"],
+        job["metrics"]["render_s"].as_f64().unwrap_or(f64::NAN),
+        job["metrics"]["mrays_per_s"].as_f64().unwrap_or(f64::NAN),
+        report.flip_mean,
+        report.flip_p99,
+        report.differences.rel_mse,
+        report.differences.mean_ratio.unwrap_or(f64::NAN),
+    );
+    [expected.to_srgb8(0.0), ours.to_srgb8(0.0), heat_map(&comparison.flip)]
+}
+
+/// Lowest and highest ratio of the means of ours and the reference over the parts of the picture that are not black.
+fn region_ratios(expected: &Image, ours: &Image) -> (f64, f64) {
+    let (columns, rows) = REGIONS;
+    let (width, height) = (expected.width(), expected.height());
+    let sum = |image: &Image, column: usize, row: usize| -> f64 {
+        let xs = column * width / columns..(column + 1) * width / columns;
+        let ys = row * height / rows..(row + 1) * height / rows;
+        let pixels = ys.flat_map(|y| xs.clone().map(move |x| y * width + x));
+        pixels.flat_map(|i| image.pixels()[i]).map(f64::from).sum()
+    };
+    let dark = 1e-3 * picture::mean(expected) * (3 * width * height) as f64 / (columns * rows) as f64;
+    (0..columns * rows)
+        .map(|part| (sum(expected, part % columns, part / columns), sum(ours, part % columns, part / columns)))
+        .filter(|(expected, _)| *expected > dark)
+        .map(|(expected, ours)| ours / expected)
+        .fold((f64::INFINITY, 0.0), |(low, high), ratio| (ratio.min(low), ratio.max(high)))
 }
 
 fn job_settings(reference: &Reference, device: &str, spp: Option<u32>) -> Value {
@@ -198,7 +246,6 @@ fn save_strip(path: &Path, size: &Image, pictures: &[Vec<u8>]) -> Result<()> {
     let (width, height) = (size.width(), size.height());
     let rows = (0..height).flat_map(|y| pictures.iter().map(move |picture| &picture[y * width * 3..][..width * 3]));
     let strip: Vec<u8> = rows.flatten().copied().collect();
-    fs::create_dir_all(path.parent().context("a file lies in a folder")?)?;
     image::save_buffer(path, &strip, (width * pictures.len()) as u32, height as u32, image::ExtendedColorType::Rgb8)?;
     Ok(())
 }

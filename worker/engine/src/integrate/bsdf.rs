@@ -2,8 +2,9 @@
 //!
 //! Three reflections, all in a frame whose +Z is the shading normal:
 //!
-//! * a GGX lobe with height-correlated Smith masking and Schlick's Fresnel, `F0 = mix(0.04, base, metallic)`, sampled by
-//!   its visible normals (Heitz 2018, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4));
+//! * a GGX lobe with height-correlated Smith masking and Schlick's Fresnel, `F0 = mix(dielectric, base, metallic)`, where
+//!   a dielectric has 0.04 unless its material says otherwise (KHR_materials_pbrSpecularGlossiness); sampled by its
+//!   visible normals (Heitz 2018, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4));
 //! * the light that bounces between microfacets more than once, which that lobe loses, as a diffuse-like lobe (Kulla and
 //!   Conty 2017, "Revisiting Physically Based Shading at Imageworks");
 //! * Lambert's diffuse under the dielectric, weighted by what the specular lobes leave over in both directions (same
@@ -16,8 +17,6 @@ use glam::Vec3;
 use super::math::{INV_PI, PI, TWO_PI, cosine_hemisphere, luminance};
 use crate::pack::GGX_TABLE_SIZE;
 
-/// Reflectance of dielectrics (index of refraction 1.5) at normal incidence.
-pub const DIELECTRIC_F0: f32 = 0.04;
 /// Smallest GGX alpha: mirrors are very narrow lobes, so that every technique can sample and evaluate them.
 pub const MIN_ALPHA: f32 = 1e-3;
 
@@ -31,7 +30,9 @@ pub struct Bsdf {
     pub multiple: Vec3,
     /// Factor of the diffuse lobe.
     pub diffuse: Vec3,
-    /// Of the dielectric's specular lobes: factor of `1 - E`, for the share left to diffuse.
+    /// Of the dielectric's specular lobes, in the channel that reflects most: `F0` and the factor of `1 - E`, for the
+    /// share left to diffuse.
+    pub dielectric_f0: f32,
     pub dielectric_multiple: f32,
     /// Unit, towards the viewer, `z > 0`.
     pub wo: Vec3,
@@ -56,9 +57,9 @@ pub fn ggx_albedo(table: &[f32], roughness: f32, cosine: f32) -> (f32, f32) {
     let last = (GGX_TABLE_SIZE - 1) as f32;
     let x = cosine.clamp(0.0, 1.0) * last;
     let y = roughness.clamp(0.0, 1.0) * last;
-    let (x0, y0) = (x.floor().min(last - 1.0), y.floor().min(last - 1.0));
-    let (fx, fy) = (x - x0, y - y0);
-    let i = (y0 as usize * GGX_TABLE_SIZE + x0 as usize) * 2;
+    let (x0, y0) = ((x as usize).min(GGX_TABLE_SIZE - 2), (y as usize).min(GGX_TABLE_SIZE - 2));
+    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+    let i = (y0 * GGX_TABLE_SIZE + x0) * 2;
     let j = i + 2 * GGX_TABLE_SIZE;
     let a = (table[i] * (1.0 - fx) + table[i + 2] * fx) * (1.0 - fy) + (table[j] * (1.0 - fx) + table[j + 2] * fx) * fy;
     let b = (table[i + 1] * (1.0 - fx) + table[i + 3] * fx) * (1.0 - fy)
@@ -70,9 +71,9 @@ pub fn ggx_albedo(table: &[f32], roughness: f32, cosine: f32) -> (f32, f32) {
 pub fn ggx_average_albedo(table: &[f32], roughness: f32) -> (f32, f32) {
     let last = (GGX_TABLE_SIZE - 1) as f32;
     let y = roughness.clamp(0.0, 1.0) * last;
-    let y0 = y.floor().min(last - 1.0);
-    let fy = y - y0;
-    let i = GGX_TABLE_SIZE * GGX_TABLE_SIZE * 2 + y0 as usize * 2;
+    let y0 = (y as usize).min(GGX_TABLE_SIZE - 2);
+    let fy = y - y0 as f32;
+    let i = GGX_TABLE_SIZE * GGX_TABLE_SIZE * 2 + y0 * 2;
     (table[i] * (1.0 - fy) + table[i + 2] * fy, table[i + 1] * (1.0 - fy) + table[i + 3] * fy)
 }
 
@@ -83,27 +84,36 @@ fn multiple_fresnel(f0: f32, average: f32) -> f32 {
     f * f * average / (1.0 - f * (1.0 - average))
 }
 
+/// [`multiple_fresnel`] of each channel.
+fn multiple_color(f0: Vec3, average: f32) -> Vec3 {
+    Vec3::new(multiple_fresnel(f0.x, average), multiple_fresnel(f0.y, average), multiple_fresnel(f0.z, average))
+}
+
 /// Prepares the BSDF for a viewer in the local direction `wo` (`z > 0`).
-pub fn make_bsdf(table: &[f32], base_color: Vec3, metallic: f32, roughness: f32, wo: Vec3) -> Bsdf {
+pub fn make_bsdf(
+    table: &[f32],
+    base_color: Vec3,
+    metallic: f32,
+    roughness: f32,
+    dielectric_f0: Vec3,
+    wo: Vec3,
+) -> Bsdf {
     let alpha = (roughness * roughness).max(MIN_ALPHA);
-    let f0 = Vec3::splat(DIELECTRIC_F0 * (1.0 - metallic)) + base_color * metallic;
+    let f0 = dielectric_f0 * (1.0 - metallic) + base_color * metallic;
     let (a_o, b_o) = ggx_albedo(table, roughness, wo.z);
     let (a_mean, b_mean) = ggx_average_albedo(table, roughness);
     let average = a_mean + b_mean;
 
-    let metal_multiple = Vec3::new(
-        multiple_fresnel(base_color.x, average),
-        multiple_fresnel(base_color.y, average),
-        multiple_fresnel(base_color.z, average),
-    );
-    let dielectric_multiple = multiple_fresnel(DIELECTRIC_F0, average);
+    let metal_multiple = multiple_color(base_color, average);
+    let glossy_multiple = multiple_color(dielectric_f0, average);
+    let dielectric_f0 = dielectric_f0.x.max(dielectric_f0.y).max(dielectric_f0.z);
+    let dielectric_multiple = multiple_fresnel(dielectric_f0, average);
     let lost_average = (1.0 - average).max(1e-6);
-    let multiple =
-        (Vec3::splat(dielectric_multiple * (1.0 - metallic)) + metal_multiple * metallic) * (INV_PI / lost_average);
+    let multiple = (glossy_multiple * (1.0 - metallic) + metal_multiple * metallic) * (INV_PI / lost_average);
 
     let lost_o = (1.0 - a_o - b_o).max(0.0);
-    let left_o = 1.0 - (DIELECTRIC_F0 * a_o + b_o + dielectric_multiple * lost_o);
-    let left_average = 1.0 - (DIELECTRIC_F0 * a_mean + b_mean + dielectric_multiple * lost_average);
+    let left_o = (1.0 - (dielectric_f0 * a_o + b_o + dielectric_multiple * lost_o)).max(0.0);
+    let left_average = 1.0 - (dielectric_f0 * a_mean + b_mean + dielectric_multiple * lost_average);
     let diffuse = base_color * ((1.0 - metallic) * INV_PI / left_average.max(1e-6));
 
     // Albedos of the two strategies seen from here.
@@ -111,7 +121,19 @@ pub fn make_bsdf(table: &[f32], base_color: Vec3, metallic: f32, roughness: f32,
     let cosine_lobes = PI * luminance(diffuse * (left_o * left_average) + multiple * (lost_o * lost_average));
     let sum = specular + cosine_lobes;
     let specular_probability = if cosine_lobes <= 1e-4 { 1.0 } else { (specular / sum).clamp(0.05, 0.95) };
-    Bsdf { alpha, roughness, f0, multiple, diffuse, dielectric_multiple, wo, lost_o, left_o, specular_probability }
+    Bsdf {
+        alpha,
+        roughness,
+        f0,
+        multiple,
+        diffuse,
+        dielectric_f0,
+        dielectric_multiple,
+        wo,
+        lost_o,
+        left_o,
+        specular_probability,
+    }
 }
 
 /// GGX distribution of microfacet normals.
@@ -184,7 +206,7 @@ pub fn eval_cosine_lobes(table: &[f32], bsdf: &Bsdf, wi: Vec3) -> Vec3 {
     }
     let (a_i, b_i) = ggx_albedo(table, bsdf.roughness, wi.z);
     let lost_i = (1.0 - a_i - b_i).max(0.0);
-    let left_i = 1.0 - (DIELECTRIC_F0 * a_i + b_i + bsdf.dielectric_multiple * lost_i);
+    let left_i = (1.0 - (bsdf.dielectric_f0 * a_i + b_i + bsdf.dielectric_multiple * lost_i)).max(0.0);
     (bsdf.multiple * (bsdf.lost_o * lost_i) + bsdf.diffuse * (bsdf.left_o * left_i)) * wi.z
 }
 

@@ -134,7 +134,14 @@ pub fn path_hit(
 
     let (tangent, bitangent) = basis(surface.normal);
     let wo = to_local(tangent, bitangent, surface.normal, to_viewer);
-    let bsdf = make_bsdf(&scene.ggx_albedo, surface.base_color, surface.metallic, surface.roughness, wo);
+    let bsdf = make_bsdf(
+        &scene.ggx_albedo,
+        surface.base_color,
+        surface.metallic,
+        surface.roughness,
+        surface.dielectric_f0,
+        wo,
+    );
     let set = SET_PATH + state.bounce * SETS_PER_BOUNCE;
     let numbers = sample_4d_bits(pixel_seed, sample_index, set);
     let shadow = connect(scene, &surface, &bsdf, tangent, bitangent, state.throughput, numbers);

@@ -52,7 +52,7 @@ pub fn nested_uniform_scramble(value: u32, seed: u32) -> u32 {
 }
 
 /// Bit `b` of an index toggles `SOBOL[b]` in each of the four dimensions.
-pub static SOBOL: [[u32; 4]; 32] = sobol_directions();
+pub const SOBOL: [[u32; 4]; 32] = sobol_directions();
 
 /// Direction numbers of dimensions 1 to 4 after Joe and Kuo 2008 (new-joe-kuo-6).
 const fn sobol_directions() -> [[u32; 4]; 32] {
@@ -87,13 +87,27 @@ const fn sobol_directions() -> [[u32; 4]; 32] {
     table
 }
 
+/// What the `n`-th four bits of an index toggle together: `SOBOL_NIBBLES[n][bits]`.
+pub static SOBOL_NIBBLES: [[[u32; 4]; 16]; 8] = {
+    let mut table = [[[0; 4]; 16]; 8];
+    let mut entry = 0;
+    while entry < 8 * 16 * 16 {
+        let (nibble, bits, d, bit) = (entry / 256, entry / 16 % 16, entry / 4 % 4, entry % 4);
+        if bits >> bit & 1 == 1 {
+            table[nibble][bits][d] ^= SOBOL[4 * nibble + bit][d];
+        }
+        entry += 1;
+    }
+    table
+};
+
 /// The four Sobol coordinates of `index`, as 32-bit fractions.
 pub fn sobol_4d(index: u32) -> [u32; 4] {
     let mut x = [0u32; 4];
-    for (bit, directions) in SOBOL.iter().enumerate() {
-        let mask = 0u32.wrapping_sub((index >> bit) & 1);
+    for (n, toggles) in SOBOL_NIBBLES.iter().enumerate() {
+        let toggles = &toggles[(index >> (4 * n) & 15) as usize];
         for d in 0..4 {
-            x[d] ^= directions[d] & mask;
+            x[d] ^= toggles[d];
         }
     }
     x

@@ -7,11 +7,17 @@ use glam::Vec3;
 
 use super::math::{basis, normalize_or, surface_error, transform_normal, transform_point, transform_vector};
 use super::texture::sample_texture;
-use crate::pack::{INSTANCE_MIRRORED, NONE, PackedInstance, PackedMaterial, PackedMesh, PackedScene};
+use crate::pack::{
+    INSTANCE_MIRRORED, MATERIAL_SPECULAR_GLOSSINESS, NONE, PackedInstance, PackedMaterial, PackedMesh, PackedScene,
+};
 use crate::trace::{Hit, Ray};
 
 /// The smallest cosine between shading normal and view: normals bent further away are pulled back to it.
-pub const MIN_VIEW_COSINE: f32 = 0.01;
+const MIN_VIEW_COSINE: f32 = 0.01;
+/// Mirrored views whose cosine with the geometric normal is smaller than this are lifted to it, or to this share of the
+/// view's own cosine if that is less.
+const MIN_MIRROR_COSINE: f32 = 0.01;
+const MIN_MIRROR_SHARE: f32 = 0.9;
 
 /// A point of a primitive before its material is looked up.
 #[derive(Clone, Copy, Debug)]
@@ -41,11 +47,13 @@ pub struct Surface {
     pub error: f32,
     /// Unit, on the viewer's side.
     pub geometric_normal: Vec3,
-    /// Unit, with the normal map, on the viewer's side, at least [`MIN_VIEW_COSINE`] towards the viewer.
+    /// Unit, with the normal map, on the viewer's side; see [`valid_normal`].
     pub normal: Vec3,
     pub base_color: Vec3,
     pub metallic: f32,
     pub roughness: f32,
+    /// Reflectance at normal incidence of what is not metal.
+    pub dielectric_f0: Vec3,
     /// Emitted radiance (both sides emit, as in Cycles).
     pub emission: Vec3,
     pub material: u32,
@@ -206,9 +214,8 @@ pub fn emission(scene: &PackedScene, material: &PackedMaterial, point: &SurfaceP
     e
 }
 
-/// The shading normal of the front side: the normal map in the tangent frame of the smooth normal.
-fn mapped_normal(scene: &PackedScene, material: &PackedMaterial, point: &SurfacePoint) -> Vec3 {
-    let n = point.smooth_normal;
+/// The shading normal of the front side: the normal map in the tangent frame of the smooth normal `n`.
+fn mapped_normal(scene: &PackedScene, material: &PackedMaterial, point: &SurfacePoint, n: Vec3) -> Vec3 {
     if material.normal_texture == NONE || point.bitangent_sign == 0.0 {
         return n;
     }
@@ -222,34 +229,60 @@ fn mapped_normal(scene: &PackedScene, material: &PackedMaterial, point: &Surface
     normalize_or(tangent * x + bitangent * y + n * z, n)
 }
 
+/// `normal` turned towards the viewer as far as [`MIN_VIEW_COSINE`] asks.
+fn facing_viewer(normal: Vec3, geometric_normal: Vec3, to_viewer: Vec3) -> Vec3 {
+    let cosine = normal.dot(to_viewer);
+    if cosine >= MIN_VIEW_COSINE {
+        return normal;
+    }
+    normalize_or(normal + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal)
+}
+
+/// Interpolated normals do not fit the flat surface that they stand on: seen at a grazing angle they may face away, or
+/// mirror the view into the surface, where all that light would be lost and silhouettes of metal be dark. Such a normal
+/// is bent until the mirrored view leaves the surface (Keller et al. 2017, "The Iray Light Transport Simulation and
+/// Rendering System", appendix A.3). Normal maps come after it, and are left as steep as they are.
+fn valid_normal(normal: Vec3, geometric_normal: Vec3, to_viewer: Vec3) -> Vec3 {
+    let n = facing_viewer(normal, geometric_normal, to_viewer);
+    let mirrored = n * (2.0 * n.dot(to_viewer)) - to_viewer;
+    let height = mirrored.dot(geometric_normal);
+    let least = MIN_MIRROR_COSINE.min(MIN_MIRROR_SHARE * geometric_normal.dot(to_viewer));
+    if height >= least {
+        return n;
+    }
+    let lifted = normalize_or(mirrored + geometric_normal * (least - height), geometric_normal);
+    normalize_or(lifted + to_viewer, geometric_normal)
+}
+
 /// Looks a hit point's material up and turns it towards a viewer in the unit direction `to_viewer`.
 pub fn shade_point(scene: &PackedScene, point: &SurfacePoint, to_viewer: Vec3) -> Surface {
     let material = &scene.materials[point.material as usize];
     let color = base_color(scene, material, point);
     let (mut metallic, mut roughness) = (material.metallic, material.roughness);
+    let mut dielectric_f0 = Vec3::from_array(material.dielectric_f0);
     if material.metallic_roughness_texture != NONE {
         let t = sample_texture(scene, material.metallic_roughness_texture, point.uv0, point.uv1);
-        roughness *= t[1];
-        metallic *= t[2];
+        if material.flags & MATERIAL_SPECULAR_GLOSSINESS != 0 {
+            dielectric_f0 *= Vec3::new(t[0], t[1], t[2]);
+            roughness = 1.0 - (1.0 - roughness) * t[3];
+        } else {
+            roughness *= t[1];
+            metallic *= t[2];
+        }
     }
-    let mut geometric_normal = point.geometric_normal;
-    let mut normal = mapped_normal(scene, material, point);
-    if geometric_normal.dot(to_viewer) < 0.0 {
-        geometric_normal = -geometric_normal;
-        normal = -normal;
-    }
-    let cosine = normal.dot(to_viewer);
-    if cosine < MIN_VIEW_COSINE {
-        normal = normalize_or(normal + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal);
-    }
+    let side = if point.geometric_normal.dot(to_viewer) < 0.0 { -1.0 } else { 1.0 };
+    let geometric_normal = point.geometric_normal * side;
+    let smooth_normal = valid_normal(point.smooth_normal * side, geometric_normal, to_viewer);
+    let normal = mapped_normal(scene, material, point, smooth_normal * side) * side;
     Surface {
         position: point.position,
         error: point.error,
         geometric_normal,
-        normal,
+        normal: facing_viewer(normal, geometric_normal, to_viewer),
         base_color: Vec3::new(color[0].clamp(0.0, 1.0), color[1].clamp(0.0, 1.0), color[2].clamp(0.0, 1.0)),
         metallic: metallic.clamp(0.0, 1.0),
         roughness: roughness.clamp(0.0, 1.0),
+        dielectric_f0,
         emission: emission(scene, material, point),
         material: point.material,
         flags: material.flags,

@@ -50,7 +50,7 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
 
         let (tangent, bitangent) = basis(surface.normal);
         let wo = to_local(tangent, bitangent, surface.normal, to_viewer);
-        let bsdf = make_bsdf(table, surface.base_color, surface.metallic, surface.roughness, wo);
+        let bsdf = make_bsdf(table, surface.base_color, surface.metallic, surface.roughness, surface.dielectric_f0, wo);
         let is_mirror = surface.roughness < MIRROR_ROUGHNESS;
         let numbers = sample_4d_bits(seed, sample.index, SET_PATH + bounce * SETS_PER_BOUNCE);
         let (u, v) = (unit_float(numbers[1]), unit_float(numbers[2]));

@@ -54,6 +54,8 @@ const _: () = assert!(size_of::<PackedInstance>() == 112);
 pub const MATERIAL_ALPHA_MASK: u32 = 1;
 pub const MATERIAL_ALPHA_BLEND: u32 = 2;
 pub const MATERIAL_UNLIT: u32 = 8;
+/// `metallic_roughness_texture` holds the dielectric's reflectance (RGB) and the glossiness (alpha).
+pub const MATERIAL_SPECULAR_GLOSSINESS: u32 = 16;
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -61,6 +63,8 @@ pub struct PackedMaterial {
     pub base_color: [f32; 4],
     pub emissive: [f32; 3],
     pub metallic: f32,
+    /// Reflectance at normal incidence of what is not metal.
+    pub dielectric_f0: [f32; 3],
     pub roughness: f32,
     pub normal_scale: f32,
     pub alpha_cutoff: f32,
@@ -70,8 +74,9 @@ pub struct PackedMaterial {
     pub metallic_roughness_texture: u32,
     pub normal_texture: u32,
     pub emissive_texture: u32,
+    pub _pad: u32,
 }
-const _: () = assert!(size_of::<PackedMaterial>() == 64);
+const _: () = assert!(size_of::<PackedMaterial>() == 80);
 
 /// Wrap modes in [`PackedTexture::flags`]: bits 0..1 for u, 2..3 for v.
 pub const WRAP_REPEAT: u32 = 0;

@@ -3,8 +3,9 @@
 use std::collections::HashMap;
 
 use super::{
-    MATERIAL_ALPHA_BLEND, MATERIAL_ALPHA_MASK, MATERIAL_UNLIT, NONE, PackError, PackedMaterial, PackedTexture,
-    TEXTURE_NEAREST, TEXTURE_SRGB, TEXTURE_UV1, TEXTURE_WRAP_V_SHIFT, WRAP_CLAMP, WRAP_MIRRORED, WRAP_REPEAT, index,
+    MATERIAL_ALPHA_BLEND, MATERIAL_ALPHA_MASK, MATERIAL_SPECULAR_GLOSSINESS, MATERIAL_UNLIT, NONE, PackError,
+    PackedMaterial, PackedTexture, TEXTURE_NEAREST, TEXTURE_SRGB, TEXTURE_UV1, TEXTURE_WRAP_V_SHIFT, WRAP_CLAMP,
+    WRAP_MIRRORED, WRAP_REPEAT, index,
 };
 use crate::scene::{AlphaMode, Filter, Image, Material, Scene, TextureRef, Wrap};
 
@@ -46,18 +47,25 @@ impl Packer<'_> {
         if m.unlit {
             flags |= MATERIAL_UNLIT;
         }
+        let mut roughness_encoding = 0;
+        if m.specular_glossiness {
+            flags |= MATERIAL_SPECULAR_GLOSSINESS;
+            roughness_encoding = TEXTURE_SRGB;
+        }
         Ok(PackedMaterial {
             base_color: m.base_color,
             emissive: m.emissive.to_array(),
             metallic: m.metallic,
+            dielectric_f0: m.dielectric_f0.to_array(),
             roughness: m.roughness,
             normal_scale: m.normal_scale,
             alpha_cutoff: m.alpha_cutoff,
             flags,
             base_color_texture: self.texture(m, m.base_color_texture, TEXTURE_SRGB)?,
-            metallic_roughness_texture: self.texture(m, m.metallic_roughness_texture, 0)?,
+            metallic_roughness_texture: self.texture(m, m.metallic_roughness_texture, roughness_encoding)?,
             normal_texture: self.texture(m, m.normal_texture, 0)?,
             emissive_texture: self.texture(m, m.emissive_texture, TEXTURE_SRGB)?,
+            _pad: 0,
         })
     }
 

@@ -132,7 +132,7 @@ pub enum AlphaMode {
     Blend,
 }
 
-/// glTF metallic-roughness. Texture fields index [`Scene::textures`].
+/// glTF metallic-roughness, or specular-glossiness without metal. Texture fields index [`Scene::textures`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
     pub name: String,
@@ -140,7 +140,13 @@ pub struct Material {
     pub base_color_texture: Option<TextureRef>,
     pub metallic: f32,
     pub roughness: f32,
+    /// Green is roughness and blue metalness; with [`Self::specular_glossiness`] see there.
     pub metallic_roughness_texture: Option<TextureRef>,
+    /// Reflectance at normal incidence of what is not metal, linear.
+    pub dielectric_f0: Vec3,
+    /// KHR_materials_pbrSpecularGlossiness: sRGB colour in `metallic_roughness_texture` multiplies `dielectric_f0`, its
+    /// alpha multiplies the glossiness `1 - roughness`.
+    pub specular_glossiness: bool,
     pub normal_texture: Option<TextureRef>,
     pub normal_scale: f32,
     /// Linear emitted radiance, KHR_materials_emissive_strength multiplied in.
@@ -149,6 +155,11 @@ pub struct Material {
     pub alpha_mode: AlphaMode,
     pub alpha_cutoff: f32,
     pub unlit: bool,
+}
+
+impl Material {
+    /// Reflectance of an index of refraction of 1.5, which metallic-roughness materials have.
+    pub const DIELECTRIC_F0: f32 = 0.04;
 }
 
 impl Default for Material {
@@ -160,6 +171,8 @@ impl Default for Material {
             metallic: 1.0,
             roughness: 1.0,
             metallic_roughness_texture: None,
+            dielectric_f0: Vec3::splat(Self::DIELECTRIC_F0),
+            specular_glossiness: false,
             normal_texture: None,
             normal_scale: 1.0,
             emissive: Vec3::ZERO,

@@ -61,7 +61,15 @@ pub(crate) fn everything() -> Scene {
             ..Material::default()
         },
         Material { base_color: [0.1, 0.9, 0.3, 1.0], unlit: true, ..plain.clone() },
-        Material { emissive: Vec3::new(1.0, 2.0, 5.0), emissive_texture: texture(0, 1), ..plain },
+        Material { emissive: Vec3::new(1.0, 2.0, 5.0), emissive_texture: texture(0, 1), ..plain.clone() },
+        Material {
+            base_color: [0.7, 0.3, 0.2, 1.0],
+            roughness: 0.1,
+            dielectric_f0: Vec3::new(0.9, 0.6, 0.3),
+            specular_glossiness: true,
+            metallic_roughness_texture: texture(3, 0),
+            ..plain
+        },
     ];
     let images = vec![noise(8, 8, 1), noise(5, 7, 2), noise(4, 4, 3)];
     let textures = vec![
@@ -102,7 +110,7 @@ pub(crate) fn everything() -> Scene {
         instance(0, at(Vec3::splat(0.5), turn_x(quarter), 0.0, 2.6, 0.0), &[3]),
         instance(1, at(Vec3::new(-0.6, 0.5, 0.6), turn_y(0.4), -0.7, -0.4, -0.4), &[2]),
         instance(2, at(Vec3::splat(1.0), turn_y(1.0), 0.5, -0.5, 0.2), &[6, 8, 5]),
-        instance(2, at(Vec3::new(1.0, 0.5, 0.8), turn_x(0.5), 0.9, 1.2, -0.8), &[8, 2, 0]),
+        instance(2, at(Vec3::new(1.0, 0.5, 0.8), turn_x(0.5), 0.9, 1.2, -0.8), &[8, 2, 9]),
         instance(0, at(Vec3::splat(0.5), turn_y(-0.5), 0.9, 0.3, 0.7), &[4]),
         instance(0, at(Vec3::splat(0.5), turn_y(0.5), -0.9, 0.6, 0.8), &[5]),
         instance(0, at(Vec3::new(0.3, 0.3, -0.3), turn_y(-0.2), -0.1, 1.2, -0.9), &[7]),

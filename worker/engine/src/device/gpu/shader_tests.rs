@@ -128,6 +128,7 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         base_color,
         emissive,
         metallic,
+        dielectric_f0,
         roughness,
         normal_scale,
         alpha_cutoff,

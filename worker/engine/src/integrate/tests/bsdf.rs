@@ -5,6 +5,7 @@ use glam::Vec3;
 use crate::integrate::bsdf::{Bsdf, eval_bsdf, make_bsdf, pdf_bsdf, sample_bsdf};
 use crate::integrate::sampler::{hash, unit_float};
 use crate::integrate::tests::{matte, prepare, scene, settings, sphere};
+use crate::scene::Material;
 use crate::settings::Integrator;
 
 fn table() -> Vec<f32> {
@@ -32,14 +33,18 @@ fn integrate(f: impl Fn(Vec3) -> Vec3) -> Vec3 {
     (sum * (std::f64::consts::TAU / f64::from(nz * np))).as_vec3()
 }
 
+/// The reflectance of dielectrics without one of their own.
+const F0: Vec3 = Vec3::splat(Material::DIELECTRIC_F0);
+
 /// Materials wide enough for the quadrature.
 fn cases(table: &[f32]) -> Vec<(Vec3, f32, f32, Bsdf)> {
     let mut out = Vec::new();
-    for color in [Vec3::ONE, Vec3::new(0.8, 0.4, 0.1)] {
+    let colored = Vec3::new(0.8, 0.4, 0.1);
+    for (color, f0) in [(Vec3::ONE, F0), (colored, F0), (Vec3::ONE, Vec3::ZERO), (colored, Vec3::new(0.2, 0.6, 0.9))] {
         for metallic in [0.0, 0.5, 1.0] {
             for roughness in [0.35, 0.6, 1.0] {
                 for cosine in [0.25, 0.7, 1.0] {
-                    let bsdf = make_bsdf(table, color, metallic, roughness, direction(cosine, 0.3));
+                    let bsdf = make_bsdf(table, color, metallic, roughness, f0, direction(cosine, 0.3));
                     out.push((color, metallic, roughness, bsdf));
                 }
             }
@@ -70,8 +75,9 @@ fn is_reciprocal() {
             for i in 0..50 {
                 let a = direction(0.05 + 0.95 * unit_float(hash(i)), 6.0 * unit_float(hash(i + 100)));
                 let b = direction(0.05 + 0.95 * unit_float(hash(i + 200)), 6.0 * unit_float(hash(i + 300)));
-                let there = eval_bsdf(&table, &make_bsdf(&table, color, metallic, roughness, a), b) / b.z;
-                let back = eval_bsdf(&table, &make_bsdf(&table, color, metallic, roughness, b), a) / a.z;
+                let f0 = if i % 2 == 0 { F0 } else { Vec3::new(0.5, 0.2, 0.0) };
+                let there = eval_bsdf(&table, &make_bsdf(&table, color, metallic, roughness, f0, a), b) / b.z;
+                let back = eval_bsdf(&table, &make_bsdf(&table, color, metallic, roughness, f0, b), a) / a.z;
                 let error = (there - back).abs().max_element() / there.max_element().max(1e-3);
                 assert!(error < 2e-3, "roughness {roughness}, metallic {metallic}: {there} and {back}");
             }
@@ -144,11 +150,34 @@ fn samples_follow_their_density() {
 fn smooth_mirrors_reflect_their_fresnel_term() {
     let table = table();
     let gold = Vec3::new(1.0, 0.77, 0.34);
-    let bsdf = make_bsdf(&table, gold, 1.0, 0.0, direction(1.0, 0.0));
+    let bsdf = make_bsdf(&table, gold, 1.0, 0.0, F0, direction(1.0, 0.0));
     let n = 1000;
     let sum: Vec3 = (0..n)
         .map(|i| sample_bsdf(&table, &bsdf, unit_float(hash(i)), unit_float(hash(i + n)), unit_float(hash(i + 2 * n))))
         .map(|s| s.weight)
         .sum();
     assert!((sum / n as f32 - gold).abs().max_element() < 0.01, "{}", sum / n as f32);
+}
+
+/// A dielectric that reflects all: its colour is that of the reflection, and nothing is left to diffuse.
+#[test]
+fn the_dielectrics_reflectance_has_a_colour() {
+    let table = table();
+    for roughness in [0.35, 0.8] {
+        let wo = direction(0.8, 0.3);
+        let albedo = |base: Vec3, f0: Vec3| {
+            let bsdf = make_bsdf(&table, base, 0.0, roughness, f0, wo);
+            integrate(|wi| eval_bsdf(&table, &bsdf, wi))
+        };
+        let f0 = Vec3::new(1.0, 0.6, 0.2);
+        let as_metal = {
+            let bsdf = make_bsdf(&table, f0, 1.0, roughness, F0, wo);
+            integrate(|wi| eval_bsdf(&table, &bsdf, wi))
+        };
+        let got = albedo(Vec3::ONE, f0);
+        assert!((got - as_metal).abs().max_element() < 0.01, "roughness {roughness}: {got}, as metal {as_metal}");
+        // Without any reflectance at normal incidence the diffuse colour is nearly all there is.
+        let got = albedo(Vec3::splat(0.5), Vec3::ZERO);
+        assert!((got.x - 0.5).abs() < 0.03, "roughness {roughness}: {got}");
+    }
 }

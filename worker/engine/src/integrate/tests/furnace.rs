@@ -3,7 +3,7 @@
 use glam::{Affine3A, Quat, Vec3};
 
 use super::{assert_close, camera, glow, matte, prepare, render, scene, settings, sphere, square};
-use crate::integrate::bsdf::{DIELECTRIC_F0, ggx_albedo, ggx_average_albedo};
+use crate::integrate::bsdf::{ggx_albedo, ggx_average_albedo};
 use crate::scene::{Material, Mesh, Sphere};
 use crate::settings::Integrator;
 
@@ -63,14 +63,15 @@ fn half_the_albedo_leaves_half_of_what_enters() {
         // Specular albedo at each pixel, the rest halved.
         let (a_mean, b_mean) = ggx_average_albedo(table, 0.7);
         let average = a_mean + b_mean;
-        let fresnel = DIELECTRIC_F0 + (1.0 - DIELECTRIC_F0) / 21.0;
+        let f0 = Material::DIELECTRIC_F0;
+        let fresnel = f0 + (1.0 - f0) / 21.0;
         let multiple = fresnel * fresnel * average / (1.0 - fresnel * (1.0 - average));
         let mut expected = 0.0;
         for i in 0..1024 {
             let offset = |k: i32| (k as f32 + 0.5) / 32.0 * 1.2 - 0.6;
             let (x, y) = (offset(i % 32), offset(i / 32));
             let (a, b) = ggx_albedo(table, 0.7, (1.0 - x * x - y * y).sqrt());
-            let specular = DIELECTRIC_F0 * a + b + multiple * (1.0 - a - b);
+            let specular = f0 * a + b + multiple * (1.0 - a - b);
             expected += 2.0 * (specular + 0.5 * (1.0 - specular)) / 1024.0;
         }
         assert_close(super::mean(&packed, &settings).y, expected, 0.005);

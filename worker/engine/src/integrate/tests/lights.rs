@@ -29,8 +29,9 @@ fn response(packed: &PackedScene, settings: &RenderSettings, material: &Material
     // The plane's local frame is the world's up to a rotation about Z, to which the BSDF is indifferent.
     let wo = -settings.camera.forward;
     let [r, g, b, _] = material.base_color;
-    let bsdf = make_bsdf(&packed.ggx_albedo, Vec3::new(r, g, b), material.metallic, material.roughness, wo);
-    eval_bsdf(&packed.ggx_albedo, &bsdf, wi).x
+    let (color, table) = (Vec3::new(r, g, b), &packed.ggx_albedo);
+    let bsdf = make_bsdf(table, color, material.metallic, material.roughness, material.dielectric_f0, wo);
+    eval_bsdf(table, &bsdf, wi).x
 }
 
 fn lit_plane(

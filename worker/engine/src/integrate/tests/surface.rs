@@ -8,7 +8,7 @@ use super::{camera, empty_mesh, matte, prepare, scene, settings, square};
 use crate::integrate::aov::first_hit;
 use crate::integrate::math::offset_origin;
 use crate::integrate::sampler::{hash, unit_float};
-use crate::integrate::surface::triangle_point;
+use crate::integrate::surface::{shade_point, triangle_point};
 use crate::scene::{Aabb, Image, Material, Mesh, Scene, Texture, TextureRef};
 use crate::settings::Integrator;
 
@@ -56,6 +56,52 @@ fn normals_face_the_viewer_on_both_sides() {
     // A map that turns the normal away from the viewer is held back.
     let away = centre(&mapped([128, 128, 0, 255], Affine3A::IDENTITY), Vec3::Z);
     assert!(away.shading_normal.z > 0.0, "{}", away.shading_normal);
+}
+
+/// A square whose normals lean over, mirrored by a camera that looks along the surface.
+#[test]
+fn interpolated_normals_never_mirror_the_view_into_the_surface() {
+    let lean = |x: f32| {
+        let mut mesh = square();
+        mesh.normals = vec![Vec3::new(x, 0.0, 1.0).normalize(); 4];
+        let scene = scene(vec![(mesh, matte(0.5, 1.0), Affine3A::IDENTITY)]);
+        prepare(&scene, &settings(Integrator::Aov, camera(Vec3::ZERO, Vec3::Z, 3.0, 1.0), 0.0))
+    };
+    for (tilt, elevation) in [(0.0, 0.05f32), (0.5, 0.05), (-0.5, 0.05), (-0.5, 0.3), (-2.0, 0.01), (-2.0, 1.5)] {
+        let packed = lean(tilt);
+        for side in [1.0, -1.0] {
+            let to_viewer = Vec3::new(elevation.cos(), 0.0, side * elevation.sin());
+            let point = triangle_point(&packed, 0, 0, 0.2, 0.3);
+            let surface = shade_point(&packed, &point, to_viewer);
+            let mirrored = surface.normal * (2.0 * surface.normal.dot(to_viewer)) - to_viewer;
+            let what = format!("tilt {tilt}, elevation {elevation}: normal {}", surface.normal);
+            assert!(mirrored.dot(surface.geometric_normal) > 0.0 && surface.normal.dot(to_viewer) > 0.0, "{what}");
+            // One that does not is left as it is.
+            let given = point.smooth_normal * side;
+            let there = given * (2.0 * given.dot(to_viewer)) - to_viewer;
+            if there.dot(surface.geometric_normal) > 0.01 && given.dot(to_viewer) > 0.01 {
+                assert_eq!(surface.normal, given, "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn specular_glossiness_textures_hold_reflectance_and_glossiness() {
+    let mut scene = mapped([255, 188, 0, 51], Affine3A::IDENTITY);
+    scene.materials[0] = Material {
+        roughness: 0.5,
+        dielectric_f0: Vec3::new(0.4, 0.8, 0.6),
+        specular_glossiness: true,
+        metallic_roughness_texture: scene.materials[0].normal_texture,
+        ..matte(0.5, 1.0)
+    };
+    let packed = prepare(&scene, &settings(Integrator::Aov, camera(Vec3::ZERO, Vec3::Z, 3.0, 0.01), 0.0));
+    let surface = shade_point(&packed, &triangle_point(&packed, 0, 0, 0.2, 0.3), Vec3::Z);
+    // 188 is a half in sRGB.
+    assert!((surface.dielectric_f0 - Vec3::new(0.4, 0.4, 0.0)).length() < 0.005, "{}", surface.dielectric_f0);
+    assert!((surface.roughness - (1.0 - 0.5 * 0.2)).abs() < 1e-6, "{}", surface.roughness);
+    assert_eq!(surface.metallic, 0.0);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::fmt::Display;
 
 use super::accessor::{ComponentType, Shape};
 use super::document::{Accessor, Document, Node, TextureInfo};
+use super::specular_glossiness;
 use crate::scene::error::{ImportError, Result};
 use crate::scene::limits::Limits;
 
@@ -186,9 +187,15 @@ fn check_materials(document: &Document) -> Result<()> {
     for (index, material) in document.materials.iter().enumerate() {
         let at = format!("materials/{index}");
         let pbr = &material.pbr_metallic_roughness;
+        let (base_color, roughness) = if pbr.specular_factor.is_some() {
+            let [diffuse, specular_glossiness] = specular_glossiness::TEXTURES;
+            (diffuse, specular_glossiness)
+        } else {
+            ("pbrMetallicRoughness/baseColorTexture", "pbrMetallicRoughness/metallicRoughnessTexture")
+        };
         let uses: [(&str, &Option<TextureInfo>); 5] = [
-            ("pbrMetallicRoughness/baseColorTexture", &pbr.base_color_texture),
-            ("pbrMetallicRoughness/metallicRoughnessTexture", &pbr.metallic_roughness_texture),
+            (base_color, &pbr.base_color_texture),
+            (roughness, &pbr.metallic_roughness_texture),
             ("normalTexture", &material.normal_texture),
             ("occlusionTexture", &material.occlusion_texture),
             ("emissiveTexture", &material.emissive_texture),

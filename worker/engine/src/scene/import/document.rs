@@ -18,6 +18,7 @@ pub(super) const SUPPORTED_EXTENSIONS: &[&str] = &[
     "EXT_mesh_gpu_instancing",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
+    "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_unlit",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
@@ -249,6 +250,9 @@ pub(super) struct MetallicRoughness {
     pub(super) metallic_factor: f32,
     pub(super) roughness_factor: f32,
     pub(super) metallic_roughness_texture: Option<TextureInfo>,
+    /// The reflectance of a specular-glossiness material; its texture is then in `metallic_roughness_texture`.
+    #[serde(skip)]
+    pub(super) specular_factor: Option<[f32; 3]>,
 }
 
 impl Default for MetallicRoughness {
@@ -259,6 +263,7 @@ impl Default for MetallicRoughness {
             metallic_factor: 1.0,
             roughness_factor: 1.0,
             metallic_roughness_texture: None,
+            specular_factor: None,
         }
     }
 }

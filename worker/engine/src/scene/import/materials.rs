@@ -57,6 +57,10 @@ impl Converter<'_> {
                 &at,
                 "metallicRoughnessTexture",
             )?,
+            dielectric_f0: pbr
+                .specular_factor
+                .map_or(Vec3::splat(Material::DIELECTRIC_F0), |factor| Vec3::from(factor).clamp(Vec3::ZERO, Vec3::ONE)),
+            specular_glossiness: pbr.specular_factor.is_some(),
             normal_texture: self.texture(&source.normal_texture, &at, "normalTexture")?,
             normal_scale: normal.and_then(|info| info.scale).unwrap_or(1.0),
             emissive: Vec3::from(source.emissive_factor).max(Vec3::ZERO) * strength.max(0.0),

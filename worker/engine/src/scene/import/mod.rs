@@ -108,10 +108,7 @@ pub fn import_file(path: &Path, limits: &Limits) -> Result<Scene> {
 
 fn warn_about_extensions(document: &Document, session: &mut Session<'_>) {
     for name in &document.extensions_used {
-        if name == specular_glossiness::NAME {
-            let message = format!("{name} is approximated by metalness and roughness, without its specular textures");
-            session.warnings.add("extensionsUsed", message);
-        } else if !SUPPORTED_EXTENSIONS.contains(&name.as_str()) {
+        if !SUPPORTED_EXTENSIONS.contains(&name.as_str()) {
             session.warnings.add("extensionsUsed", format!("{} is not supported and has no effect", uri::quoted(name)));
         }
     }

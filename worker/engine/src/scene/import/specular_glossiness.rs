@@ -1,20 +1,18 @@
 //! KHR_materials_pbrSpecularGlossiness (archived): older exports carry their colours in it and nowhere else.
 //!
-//! Such a material is turned into the metallic-roughness one that reflects nearly the same, by the conversion that the
-//! Khronos group published with the extension: the metalness is solved for from the brightness of both colours. With
-//! textures the specular part would have to be solved for per texel; it is left out, and the diffuse texture stays.
-//! A material that has a metallic-roughness description beside it keeps that one.
+//! Such a material is a dielectric whose reflectance has a colour. It is put where the metallic-roughness description
+//! would be: diffuse as base colour without metal, specular as the dielectric's reflectance, and its texture in the place
+//! of the metallic-roughness one. A material that has a metallic-roughness description beside it keeps that one.
 
 use serde::Deserialize;
 
 use super::document::{Material, MetallicRoughness, TextureInfo};
 
-pub(super) const NAME: &str = "KHR_materials_pbrSpecularGlossiness";
-
-/// Reflectance of a dielectric at normal incidence.
-const DIELECTRIC: f32 = 0.04;
-/// Of a textured material, whose glossiness is in the texture that is left out.
-const TEXTURED_ROUGHNESS: f32 = 0.5;
+/// Where a material's two textures stand in the file.
+pub(super) const TEXTURES: [&str; 2] = [
+    "extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture",
+    "extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture",
+];
 
 #[derive(Debug, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
@@ -38,65 +36,20 @@ impl Default for SpecularGlossiness {
     }
 }
 
-/// Puts a metallic-roughness description into a material that only has a specular-glossiness one.
+/// Describes a material that only has a specular-glossiness description in the other one's terms.
 pub(super) fn convert(material: &mut Material) {
     if material.pbr_metallic_roughness != MetallicRoughness::default() {
         return;
     }
-    if let Some(source) = material.extensions.specular_glossiness.take() {
-        material.pbr_metallic_roughness = metallic_roughness(source);
-    }
-}
-
-fn metallic_roughness(source: SpecularGlossiness) -> MetallicRoughness {
-    if source.diffuse_texture.is_some() || source.specular_glossiness_texture.is_some() {
-        let roughness = if source.specular_glossiness_texture.is_some() {
-            TEXTURED_ROUGHNESS
-        } else {
-            1.0 - source.glossiness_factor
-        };
-        return MetallicRoughness {
-            base_color_factor: source.diffuse_factor,
-            base_color_texture: source.diffuse_texture,
-            metallic_factor: 0.0,
-            roughness_factor: roughness,
-            metallic_roughness_texture: None,
-        };
-    }
-    let [red, green, blue, alpha] = source.diffuse_factor;
-    let diffuse = [red, green, blue];
-    let specular = source.specular_factor;
-    let transmitted = 1.0 - specular.into_iter().fold(0.0, f32::max);
-    let metallic = solve_metallic(brightness(diffuse), brightness(specular), transmitted);
-    let mut base_color = [0.0, 0.0, 0.0, alpha];
-    for channel in 0..3 {
-        let of_dielectric = diffuse[channel] * transmitted / ((1.0 - DIELECTRIC) * (1.0 - metallic).max(1e-6));
-        let of_metal = (specular[channel] - DIELECTRIC * (1.0 - metallic)) / metallic.max(1e-6);
-        let share = metallic * metallic;
-        base_color[channel] = (of_dielectric * (1.0 - share) + of_metal * share).clamp(0.0, 1.0);
-    }
-    MetallicRoughness {
-        base_color_factor: base_color,
-        base_color_texture: None,
-        metallic_factor: metallic,
+    let Some(source) = material.extensions.specular_glossiness.take() else { return };
+    material.pbr_metallic_roughness = MetallicRoughness {
+        base_color_factor: source.diffuse_factor,
+        base_color_texture: source.diffuse_texture,
+        metallic_factor: 0.0,
         roughness_factor: 1.0 - source.glossiness_factor,
-        metallic_roughness_texture: None,
-    }
-}
-
-fn solve_metallic(diffuse: f32, specular: f32, transmitted: f32) -> f32 {
-    if specular < DIELECTRIC {
-        return 0.0;
-    }
-    let b = diffuse * transmitted / (1.0 - DIELECTRIC) + specular - 2.0 * DIELECTRIC;
-    let c = DIELECTRIC - specular;
-    let discriminant = (b * b - 4.0 * DIELECTRIC * c).max(0.0);
-    ((-b + discriminant.sqrt()) / (2.0 * DIELECTRIC)).clamp(0.0, 1.0)
-}
-
-/// Perceived brightness (the HSP model's weights).
-fn brightness([red, green, blue]: [f32; 3]) -> f32 {
-    (0.299 * red * red + 0.587 * green * green + 0.114 * blue * blue).sqrt()
+        metallic_roughness_texture: source.specular_glossiness_texture,
+        specular_factor: Some(source.specular_factor),
+    };
 }
 
 #[cfg(test)]
@@ -110,26 +63,23 @@ mod tests {
     }
 
     #[test]
-    fn a_matt_colour_stays_that_colour() {
+    fn specular_and_glossiness_become_a_dielectric() {
         let result = converted(
             r#"{"extensions": {"KHR_materials_pbrSpecularGlossiness":
-                {"diffuseFactor": [0.8, 0.1, 0.2, 0.5], "specularFactor": [0, 0, 0], "glossinessFactor": 0.25}}}"#,
+                {"diffuseFactor": [0.8, 0.1, 0.2, 0.5], "specularFactor": [0.5, 0.25, 0], "glossinessFactor": 0.25,
+                 "diffuseTexture": {"index": 3}, "specularGlossinessTexture": {"index": 4, "texCoord": 1}}}}"#,
         );
         assert_eq!((result.metallic_factor, result.roughness_factor), (0.0, 0.75));
-        for (got, expected) in result.base_color_factor.into_iter().zip([0.8 / 0.96, 0.1 / 0.96, 0.2 / 0.96, 0.5]) {
-            assert!((got - expected).abs() < 1e-6, "{got} for {expected}");
-        }
+        assert_eq!((result.base_color_factor, result.specular_factor), ([0.8, 0.1, 0.2, 0.5], Some([0.5, 0.25, 0.0])));
+        let texture = result.metallic_roughness_texture.expect("the extension's texture");
+        assert_eq!((result.base_color_texture.map(|t| t.index), texture.index, texture.tex_coord), (Some(3), 4, 1));
     }
 
     #[test]
-    fn a_coloured_reflection_without_diffuse_is_a_metal() {
-        let result = converted(
-            r#"{"extensions": {"KHR_materials_pbrSpecularGlossiness":
-                {"diffuseFactor": [0, 0, 0, 1], "specularFactor": [1.0, 0.77, 0.34], "glossinessFactor": 1}}}"#,
-        );
-        assert!(result.metallic_factor > 0.999, "{}", result.metallic_factor);
-        assert!((result.base_color_factor[1] - 0.77).abs() < 1e-3, "{:?}", result.base_color_factor);
-        assert_eq!(result.roughness_factor, 0.0);
+    fn what_is_left_out_is_white_and_smooth() {
+        let result = converted(r#"{"extensions": {"KHR_materials_pbrSpecularGlossiness": {}}}"#);
+        assert_eq!((result.base_color_factor, result.specular_factor), ([1.0; 4], Some([1.0; 3])));
+        assert_eq!((result.metallic_factor, result.roughness_factor), (0.0, 0.0));
     }
 
     #[test]
@@ -138,6 +88,6 @@ mod tests {
             r#"{"pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 1]},
                 "extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [1, 0, 0, 1]}}}"#,
         );
-        assert_eq!(result.base_color_factor, [0.1, 0.2, 0.3, 1.0]);
+        assert_eq!((result.base_color_factor, result.specular_factor), ([0.1, 0.2, 0.3, 1.0], None));
     }
 }

@@ -59,6 +59,27 @@ fn materials_keep_every_factor() {
 }
 
 #[test]
+fn specular_and_glossiness_are_kept_with_their_texture() {
+    let mut draft = textured(&red_png(), "image/png");
+    let material = |texture: u32| {
+        json!([{ "extensions": { "KHR_materials_pbrSpecularGlossiness": {
+            "diffuseFactor": [0.1, 0.2, 0.3, 0.4], "specularFactor": [0.5, 0.6, 0.7], "glossinessFactor": 0.75,
+            "specularGlossinessTexture": { "index": texture },
+        } } }])
+    };
+    draft.json["extensionsRequired"] = json!(["KHR_materials_pbrSpecularGlossiness"]);
+    draft.json["materials"] = material(0);
+    let scene = draft.scene();
+    let got = &scene.materials[0];
+    assert_eq!((got.base_color, got.metallic, got.roughness), ([0.1, 0.2, 0.3, 0.4], 0.0, 0.25));
+    assert_eq!((got.dielectric_f0, got.specular_glossiness), (Vec3::new(0.5, 0.6, 0.7), true));
+    assert!(got.metallic_roughness_texture.is_some() && scene.warnings.is_empty(), "{:?}", scene.warnings);
+    draft.json["materials"] = material(7);
+    let place = "materials/0/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture/index";
+    draft.refused(ImportErrorKind::Malformed, place, "7");
+}
+
+#[test]
 fn texture_transforms_and_their_uv_set_are_taken_over() {
     let mut draft = textured(&red_png(), "image/png");
     draft.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] =
