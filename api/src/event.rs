@@ -37,6 +37,8 @@ pub enum EventKind {
     JobCancelled,
     #[serde(rename = "job.retried")]
     JobRetried,
+    #[serde(rename = "job.deleted")]
+    JobDeleted,
     #[serde(rename = "task.leased")]
     TaskLeased,
     #[serde(rename = "task.succeeded")]
@@ -54,7 +56,7 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::JobCreated,
         Self::JobChanged,
         Self::JobStarted,
@@ -64,6 +66,7 @@ impl EventKind {
         Self::JobFailed,
         Self::JobCancelled,
         Self::JobRetried,
+        Self::JobDeleted,
         Self::TaskLeased,
         Self::TaskSucceeded,
         Self::TaskFailed,
@@ -84,6 +87,7 @@ impl EventKind {
             Self::JobFailed => "job.failed",
             Self::JobCancelled => "job.cancelled",
             Self::JobRetried => "job.retried",
+            Self::JobDeleted => "job.deleted",
             Self::TaskLeased => "task.leased",
             Self::TaskSucceeded => "task.succeeded",
             Self::TaskFailed => "task.failed",

@@ -3,16 +3,32 @@
 use std::collections::BTreeMap;
 
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 use crate::problem::{FieldError, escape_pointer};
 use crate::settings::RenderSettings;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JobKind {
     Render,
+}
+
+/// Kinds whose names are taken, and that no worker can do yet.
+const KINDS_TO_COME: [&str; 3] = ["build", "benchmark", "compare"];
+
+impl<'de> Deserialize<'de> for JobKind {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match String::deserialize(deserializer)?.as_str() {
+            "render" => Ok(Self::Render),
+            known if KINDS_TO_COME.contains(&known) => {
+                Err(D::Error::custom(format!("`{known}` is not there yet: the one kind so far is `render`")))
+            }
+            other => Err(D::Error::unknown_variant(other, &["render"])),
+        }
+    }
 }
 
 /// Body of `POST /v1/jobs`.
@@ -360,8 +376,9 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Adds another task of the same job: times and rays add up, but the first task says when the job began; sizes and samples are those of the largest, since tasks
-    /// share the same structures and a merge reports the samples of the whole picture.
+    /// Adds another task of the same job: times and rays add up, but the first task says when the job began; sizes and
+    /// samples are those of the largest, since tasks share the same structures and a merge reports the samples of the
+    /// whole picture. Reports of one structure from one source become one, whose seconds add up.
     pub fn add(&mut self, other: &Self) {
         self.queue_s = earliest(self.queue_s, other.queue_s);
         self.first_tile_s = earliest(self.first_tile_s, other.first_tile_s);
@@ -384,6 +401,7 @@ impl Metrics {
         join_distinct(&mut self.device_kind, &other.device_kind);
         self.spp = self.spp.max(other.spp);
         self.cache.extend(other.cache.iter().cloned());
+        join_reports(&mut self.cache);
         for (name, version) in &other.versions {
             self.versions.entry(name.clone()).or_insert_with(|| version.clone());
         }
@@ -393,6 +411,21 @@ impl Metrics {
             }
         }
     }
+}
+
+fn join_reports(reports: &mut Vec<CacheReport>) {
+    fn key(report: &CacheReport) -> (&str, &str, CacheSource) {
+        (&report.mesh, &report.structure, report.source)
+    }
+    reports.sort_by(|a, b| key(a).cmp(&key(b)));
+    reports.dedup_by(|next, kept| {
+        let is_same = key(next) == key(kept);
+        if is_same {
+            kept.seconds += next.seconds;
+            kept.bytes = kept.bytes.max(next.bytes);
+        }
+        is_same
+    });
 }
 
 fn earliest(a: Option<f64>, b: Option<f64>) -> Option<f64> {
@@ -426,7 +459,7 @@ impl RayCounts {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CacheSource {
     Built,
@@ -460,6 +493,29 @@ pub struct CacheReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_many_tasks_took_from_the_same_place_is_told_once() {
+        let report = |mesh: &str, source, seconds| CacheReport {
+            mesh: mesh.to_owned(),
+            structure: "bvh".to_owned(),
+            source,
+            seconds,
+            bytes: 100,
+        };
+        let task = |reports: &[CacheReport]| Metrics { cache: reports.to_vec(), ..Metrics::default() };
+        let mut sum = task(&[report("b", CacheSource::Built, 2.0), report("a", CacheSource::Built, 1.0)]);
+        for _ in 0..100 {
+            sum.add(&task(&[report("a", CacheSource::Memory, 0.5), report("b", CacheSource::Memory, 0.5)]));
+        }
+        let expected = [
+            report("a", CacheSource::Built, 1.0),
+            report("a", CacheSource::Memory, 50.0),
+            report("b", CacheSource::Built, 2.0),
+            report("b", CacheSource::Memory, 50.0),
+        ];
+        assert_eq!(sum.cache, expected);
+    }
 
     #[test]
     fn metrics_of_two_tasks_add_up() {

@@ -56,4 +56,7 @@ pub struct NewStructure {
     pub bytes: u64,
     pub build_s: f64,
     pub blob: String,
+    /// Blob of the structure that is there and turned out to be unreadable; this one takes its place.
+    #[serde(default)]
+    pub replaces: Option<String>,
 }

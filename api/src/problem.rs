@@ -9,6 +9,9 @@ pub struct Problem {
     /// `/problems/<code>`: stable, and the address of its explanation.
     #[serde(rename = "type")]
     pub kind: String,
+    /// The last part of `type`, for scripts.
+    #[serde(default)]
+    pub code: String,
     pub title: String,
     pub status: u16,
     /// What was wrong this time, and what would be right.
@@ -16,6 +19,9 @@ pub struct Problem {
     /// Every field that was wrong.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub errors: Vec<FieldError>,
+    /// This occurrence: `/requests/<request_id>`. A name, not an address: the service's log has what is known of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instance: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<String>,
 }

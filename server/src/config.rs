@@ -19,6 +19,8 @@ pub struct Config {
     pub device_grace: Duration,
     /// Render a small picture of every new scene.
     pub thumbnails: bool,
+    /// How long finished jobs are kept with what they left; for good when `None`.
+    pub keep_jobs: Option<Duration>,
     /// How long requests in progress may take to end after a shutdown was asked for.
     pub shutdown_deadline: Duration,
     pub limits: Limits,
@@ -29,6 +31,10 @@ pub struct Config {
 pub struct Limits {
     /// Bytes of a JSON body.
     pub json_bytes: u64,
+    /// Bytes of a worker's report of success, which names every mesh of the scene.
+    pub report_bytes: u64,
+    /// Different meshes of a scene.
+    pub scene_meshes: usize,
     /// Bytes of a scene's upload, all files together.
     pub scene_bytes: u64,
     /// Files of a multipart upload.
@@ -52,6 +58,7 @@ impl Config {
             lease_ttl: Duration::from_secs(60),
             device_grace: Duration::from_secs(10),
             thumbnails: true,
+            keep_jobs: None,
             shutdown_deadline: Duration::from_secs(10),
             limits: Limits::default(),
         }
@@ -62,6 +69,8 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             json_bytes: 1 << 20,
+            report_bytes: 64 << 20,
+            scene_meshes: 65_536,
             scene_bytes: 2 << 30,
             scene_files: 4096,
             blob_bytes: 4 << 30,

@@ -82,13 +82,16 @@ impl IntoResponse for ApiError {
         if let Some(source) = &self.source {
             tracing::error!(error = %source, "request failed");
         }
+        let request_id = context::request_id();
         let problem = Problem {
             kind: format!("/problems/{}", self.code.as_str()),
+            code: self.code.as_str().to_owned(),
             title: self.code.title().to_owned(),
             status: self.code.status().as_u16(),
             detail: self.detail,
             errors: self.errors,
-            request_id: context::request_id(),
+            instance: request_id.as_ref().map(|id| format!("/requests/{id}")),
+            request_id,
         };
         let mut response = (self.code.status(), axum::Json(problem)).into_response();
         let headers = response.headers_mut();

@@ -25,7 +25,7 @@ use std::future::IntoFuture;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use app::App;
+use app::{App, Stop};
 use blob::{BlobError, BlobStore};
 use clock::SystemClock;
 pub use config::{Config, Limits};
@@ -34,7 +34,6 @@ use store::StoreError;
 use store::sqlite::SqliteStore;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
-use tokio_util::sync::CancellationToken;
 
 /// Why a service could not start, or stopped by itself.
 #[derive(Debug, thiserror::Error)]
@@ -62,15 +61,11 @@ pub enum ServeError {
     Stopped(std::io::Error),
 }
 
-/// Runs the service until `shutdown` is cancelled. `ready` gets the bound address once requests are answered.
+/// Runs the service until it is told to stop. `ready` gets the bound address once requests are answered.
 ///
-/// A shutdown first makes the service unready and stops leasing, then ends event streams and long polls, then waits for
-/// requests in progress, at most until the deadline.
-pub async fn serve(
-    config: Config,
-    shutdown: CancellationToken,
-    ready: oneshot::Sender<SocketAddr>,
-) -> Result<(), ServeError> {
+/// Draining makes the service unready and stops leasing, while workers still bring what they have. The shutdown then
+/// ends event streams and chores, and waits for requests in progress, at most until the deadline.
+pub async fn serve(config: Config, stop: Stop, ready: oneshot::Sender<SocketAddr>) -> Result<(), ServeError> {
     if !config.listen.ip().is_loopback() && !config.insecure_local {
         return Err(ServeError::NotLoopback(config.listen));
     }
@@ -86,9 +81,8 @@ pub async fn serve(
     let listener = TcpListener::bind(config.listen).await.map_err(listen_error)?;
     let address = listener.local_addr().map_err(listen_error)?;
     let deadline = config.shutdown_deadline;
-    let app = App::new(config.clone(), store.clone(), blobs, Arc::new(SystemClock), shutdown.clone())
-        .await
-        .map_err(data_error)?;
+    let shutdown = stop.shutdown.clone();
+    let app = App::new(config.clone(), store.clone(), blobs, Arc::new(SystemClock), stop).await.map_err(data_error)?;
     let mut chores = reconcile::spawn(&app);
     tracing::info!(%address, "serving");
     // Nobody may be waiting for the address.

@@ -11,4 +11,4 @@ pub mod picture;
 pub mod process;
 pub mod service;
 
-pub use service::{Reply, Service};
+pub use service::{Reply, Service, Worker};

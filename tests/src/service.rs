@@ -23,6 +23,16 @@ pub struct Service {
     http: reqwest::Client,
 }
 
+/// A worker process that the service did not start.
+pub struct Worker(Child);
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        process::kill_tree(self.0.id());
+        let _ = self.0.wait();
+    }
+}
+
 /// An answer, read to its end.
 #[derive(Debug)]
 pub struct Reply {
@@ -58,6 +68,22 @@ impl Service {
         self.url = url;
         // The old client may hold connections to the dead process.
         self.http = reqwest::Client::new();
+    }
+
+    /// Starts a worker of its own, as on another machine, which ends with what this returns.
+    ///
+    /// # Panics
+    /// When it cannot be started.
+    pub fn join_worker(&self) -> Worker {
+        let log = fs::OpenOptions::new().create(true).append(true).open(self.folder.path().join("serve.log"));
+        let child = Command::new(binary::lightshaft())
+            .args(["worker", "--device", "cpu", "--server", &self.url, "--cache"])
+            .arg(self.folder.path().join("worker"))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log.expect("a file for the log"))
+            .spawn();
+        Worker(child.expect("the worker starts"))
     }
 
     pub fn url(&self) -> &str {

@@ -72,6 +72,11 @@ impl Client {
         self.post_json(&job_path(id, "/retry"), &()).await
     }
 
+    /// Deletes a finished job with what it left.
+    pub async fn delete_job(&self, id: &str) -> Result<()> {
+        self.send(self.request(Method::DELETE, &job_path(id, ""))).await.map(|_| ())
+    }
+
     pub async fn patch_job(&self, id: &str, patch: &JobPatch) -> Result<Job> {
         self.send_json(self.request(Method::PATCH, &job_path(id, "")).json(patch)).await
     }

@@ -1,7 +1,6 @@
 //! Blobs, meshes and structures.
 
 use axum::body::Body;
-use futures::{StreamExt, TryStreamExt};
 use lightshaft_api::blob::{StoredBlob, is_hash};
 use lightshaft_api::mesh::{FindStructures, FoundStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::problem::FieldError;
@@ -33,7 +32,6 @@ impl App {
 
     /// Stores a body; when `expected` is given, only under that hash.
     pub async fn put_blob(&self, body: Body, expected: Option<&str>) -> ApiResult<StoredBlob> {
-        self.check_running()?;
         if expected.is_some_and(|hash| !is_hash(hash)) {
             return Err(ApiError::bad_request("path/hash", "must be 64 lower-case hex digits"));
         }
@@ -43,10 +41,12 @@ impl App {
             let detail = format!("the body's hash is {}, not {expected}", stored.hash);
             return Err(ApiError::new(Code::HashMismatch, detail));
         }
+        let _in_use = self.blob_use.read().await;
         self.blobs.commit(staged).await.map_err(ApiError::internal)?;
         Ok(stored)
     }
 
+    /// Those that are there count as put now: whoever asks will name them, and not send them again.
     pub async fn missing_blobs(&self, hashes: Vec<String>) -> ApiResult<Vec<String>> {
         if hashes.len() > 10_000 {
             return Err(ApiError::fields(vec![FieldError::new("/hashes", "must be at most 10000 hashes")]));
@@ -59,41 +59,14 @@ impl App {
         if !wrong.is_empty() {
             return Err(ApiError::fields(wrong));
         }
+        let _in_use = self.blob_use.read().await;
         let mut missing = Vec::new();
         for hash in hashes {
-            if self.blobs.size(&hash).await.map_err(ApiError::internal)?.is_none() {
+            if !self.blobs.touch(&hash).await.map_err(ApiError::internal)? {
                 missing.push(hash);
             }
         }
         Ok(missing)
-    }
-
-    /// Deletes those of these blobs that nothing names any more.
-    pub async fn delete_unused(&self, hashes: impl IntoIterator<Item = String, IntoIter: Send>) -> ApiResult<u64> {
-        let mut hashes = hashes.into_iter().peekable();
-        if hashes.peek().is_none() {
-            return Ok(0);
-        }
-        let _alone = self.blob_use.write().await;
-        let mut deleted = 0;
-        for hash in hashes {
-            if !self.store.is_blob_used(&hash).await? {
-                self.blobs.delete(&hash).await.map_err(ApiError::internal)?;
-                deleted += 1;
-            }
-        }
-        Ok(deleted)
-    }
-
-    /// Deletes blobs that were last written before a time and that nothing names; returns how many.
-    pub async fn sweep_blobs(&self, before: jiff::Timestamp) -> ApiResult<u64> {
-        let mut batches = self.blobs.older_than(before).map_err(ApiError::internal).chunks(256);
-        let mut deleted = 0;
-        while let Some(batch) = batches.next().await {
-            let hashes: Vec<String> = batch.into_iter().collect::<ApiResult<_>>()?;
-            deleted += self.delete_unused(hashes).await?;
-        }
-        Ok(deleted)
     }
 
     pub async fn meshes(&self, page: &PageRequest) -> ApiResult<Vec<Mesh>> {
@@ -136,7 +109,7 @@ impl App {
         check((1..=64).contains(&structure.kind.len()), "/kind", "must have 1 to 64 characters");
         check(structure.parameters.len() <= 1024, "/parameters", "must have at most 1024 characters");
         check(structure.build_s.is_finite() && structure.build_s >= 0.0, "/build_s", "must not be negative");
-        let _in_use = self.blob_use.read().await;
+        let in_use = self.blob_use.read().await;
         let stored = self.blobs.size(&structure.blob).await.map_err(ApiError::internal)?;
         check(stored.is_some(), "/blob", "is not in the blob store: put it first");
         check(stored.is_none_or(|size| size == structure.bytes), "/bytes", "is not the blob's length");
@@ -144,6 +117,8 @@ impl App {
             return Err(ApiError::fields(errors));
         }
         let added = self.store.add_structure(mesh, structure, self.now()).await?;
+        drop(in_use);
+        self.discard(structure.replaces.clone());
         added.ok_or_else(|| ApiError::not_found("mesh", mesh))
     }
 }

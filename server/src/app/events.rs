@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use lightshaft_api::event::Event;
+use lightshaft_api::job::JobState;
 use tokio::sync::{broadcast, watch};
 
 use super::{App, Shared};
@@ -25,7 +26,7 @@ impl EventStream {
     /// Of a job from its beginning, of all jobs from now, or after `last_event_id`.
     pub async fn open(app: Shared, job: Option<String>, last_event_id: Option<i64>) -> ApiResult<Self> {
         if let Some(job) = &job {
-            app.store.job(job).await?.ok_or_else(|| ApiError::not_found("job", job))?;
+            app.store.job_state(job).await?.ok_or_else(|| ApiError::not_found("job", job))?;
         }
         let last = match (last_event_id, &job) {
             (Some(id), _) => id,
@@ -52,18 +53,27 @@ impl EventStream {
             if ended {
                 return Ok(None);
             }
+            if let Some(event) = self.wait().await {
+                return Ok(Some(event));
+            }
+            if self.app.shutdown.is_cancelled() {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// Until the database may hold something new, or else until this stream's jobs make progress: that is the event.
+    async fn wait(&mut self) -> Option<Event> {
+        loop {
             tokio::select! {
                 biased;
-                () = self.app.shutdown.cancelled() => return Ok(None),
-                changed = self.changes.changed() => {
-                    if changed.is_err() {
-                        return Ok(None);
-                    }
-                }
+                () = self.app.shutdown.cancelled() => return None,
+                // The sender is the app's, and lives as long as this does.
+                _ = self.changes.changed() => return None,
                 event = self.progress.recv() => match event {
-                    Ok(event) if self.job.as_ref().is_none_or(|job| *job == event.job) => return Ok(Some(event)),
+                    Ok(event) if self.job.as_ref().is_none_or(|job| *job == event.job) => return Some(event),
                     Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-                    Err(broadcast::error::RecvError::Closed) => return Ok(None),
+                    Err(broadcast::error::RecvError::Closed) => return None,
                 },
             }
         }
@@ -71,7 +81,7 @@ impl EventStream {
 
     async fn job_has_ended(&self) -> ApiResult<bool> {
         match &self.job {
-            Some(job) => Ok(self.app.store.job(job).await?.is_none_or(|job| job.summary.state.is_final())),
+            Some(job) => Ok(self.app.store.job_state(job).await?.is_none_or(JobState::is_final)),
             None => Ok(false),
         }
     }

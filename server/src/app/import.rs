@@ -1,5 +1,6 @@
 //! Importing an uploaded scene with the engine, off the async threads and a few at a time.
 
+use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,6 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::scene::{Bounds, CameraSummary, LightSummary, MeshSummary, SceneSummary};
 use lightshaft_engine::scene::{self, Aabb, Content, ImportError, ImportErrorKind, Limits, Source};
+
+use tokio::sync::Semaphore;
 
 use super::App;
 use crate::error::{ApiError, ApiResult};
@@ -71,18 +74,30 @@ impl Drop for CancelOnDrop {
 impl App {
     /// Reads the whole scene; nothing of it is kept but the summary.
     pub(super) async fn import(&self, files: Files) -> ApiResult<SceneSummary> {
-        let _turn = self.imports.acquire().await.map_err(ApiError::internal)?;
-        let cancelled = Arc::new(AtomicBool::new(false));
-        let _guard = CancelOnDrop(Arc::clone(&cancelled));
         let limits = self.config.limits.import.clone();
-        let imported = tokio::task::spawn_blocking(move || {
+        let import = in_turn(&self.imports, move |is_cancelled| {
             let source = open(files, &limits)?;
-            let scene = scene::import(&source, &limits, &|| cancelled.load(Ordering::Relaxed))?;
+            let scene = scene::import(&source, &limits, is_cancelled)?;
             Ok(summary(&scene.summary()))
         });
-        // A panic in the importer ends up here as a join error: an answer of 500, and the service lives on.
-        imported.await.map_err(ApiError::internal)?.map_err(import_error)
+        import.await.map_err(ApiError::internal)?.map_err(import_error)
     }
+}
+
+/// Runs `work` on a thread of its own once a permit is free. The permit is the thread's: work that goes on for a while
+/// after its client has gone still counts. A panic in it is an error here, and the service lives on.
+async fn in_turn<T: Send + 'static>(
+    permits: &Arc<Semaphore>,
+    work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> T + Send + 'static,
+) -> Result<T, Box<dyn Error + Send + Sync>> {
+    let permit = Arc::clone(permits).acquire_owned().await?;
+    let cancelled = Arc::new(AtomicBool::new(false));
+    let _guard = CancelOnDrop(Arc::clone(&cancelled));
+    let thread = tokio::task::spawn_blocking(move || {
+        let _permit = permit;
+        work(&|| cancelled.load(Ordering::Relaxed))
+    });
+    Ok(thread.await?)
 }
 
 fn open(files: Files, limits: &Limits) -> Result<Source, ImportError> {
@@ -108,7 +123,8 @@ fn import_error(error: ImportError) -> ApiError {
     }
 }
 
-fn summary(found: &scene::SceneSummary) -> SceneSummary {
+/// The engine's summary as the API shows it.
+pub fn summary(found: &scene::SceneSummary) -> SceneSummary {
     let meshes = found.meshes.iter().map(|mesh| MeshSummary {
         hash: mesh.hash.to_string(),
         name: mesh.name.clone(),
@@ -145,7 +161,31 @@ fn bounds(found: Aabb) -> Option<Bounds> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc;
+    use std::time::Duration;
+
     use super::*;
+
+    #[tokio::test]
+    async fn an_import_whose_client_has_gone_keeps_its_permit_until_it_stops() {
+        let permits = Arc::new(Semaphore::new(1));
+        let (started, has_started) = tokio::sync::oneshot::channel();
+        let (go_on, may_go_on) = mpsc::channel::<()>();
+        let (ended, has_ended) = tokio::sync::oneshot::channel();
+        let import = in_turn(&permits, move |is_cancelled| {
+            started.send(()).unwrap();
+            may_go_on.recv().unwrap();
+            ended.send(is_cancelled()).unwrap();
+        });
+        tokio::select! {
+            _ = import => unreachable!("it cannot go on"),
+            begun = has_started => begun.unwrap(),
+        }
+        assert_eq!(permits.available_permits(), 0, "the client has gone, its import has not");
+        go_on.send(()).unwrap();
+        assert!(has_ended.await.unwrap(), "it is told to stop");
+        drop(tokio::time::timeout(Duration::from_secs(10), permits.acquire()).await.unwrap().unwrap());
+    }
 
     #[test]
     fn formats_are_told_by_their_first_bytes() {

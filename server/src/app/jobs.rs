@@ -2,20 +2,26 @@
 
 use std::collections::BTreeMap;
 
-use lightshaft_api::job::{Job, JobPatch, JobSummary, NewJob, RESERVED_LABEL_PREFIX, TaskState, ValidatedJob};
+use futures::stream::{self, StreamExt};
+use lightshaft_api::job::{
+    Artifact, Job, JobPatch, JobSummary, NewJob, RESERVED_LABEL_PREFIX, TaskState, ValidatedJob,
+};
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::scene::Scene;
 use lightshaft_api::settings::{CameraChoice, Environment, Integrator, Output, RenderSettings};
 use uuid::Uuid;
 
 use super::App;
+use super::logs::LogStream;
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
-use crate::queue::plan;
-use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, ListedJob, PageRequest};
+use crate::queue::{Millis, plan};
+use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, JobRemoval, ListedJob, PageRequest};
 use crate::web::context;
 
 const DEFAULT_MAX_ATTEMPTS: u32 = 3;
+/// Jobs deleted in one go by age.
+const DELETE_BATCH: u32 = 100;
 /// Idempotency keys are kept this long.
 pub const KEY_LIFETIME_MS: i64 = 24 * 3_600_000;
 /// The label of the automatic job that renders a scene's thumbnail; its value is `true`.
@@ -38,6 +44,8 @@ impl App {
         {
             return self.created(creation, "").await;
         }
+        // From the look at the map to the job that names it.
+        let in_use = self.blob_use.read().await;
         self.check_job(new).await?;
         let record = JobRecord {
             id: Uuid::now_v7().to_string(),
@@ -51,6 +59,7 @@ impl App {
             automatic: false,
         };
         let creation = self.store.create_job(&record, idempotency.as_ref(), self.now()).await?;
+        drop(in_use);
         self.created(creation, &record.id).await
     }
 
@@ -99,7 +108,6 @@ impl App {
             automatic: true,
         };
         if self.store.create_job(&record, None, self.now()).await? == Creation::Created {
-            self.store.set_thumbnail_job(&scene.id, &record.id).await?;
             self.changed();
         }
         Ok(())
@@ -174,28 +182,74 @@ impl App {
         self.live.preview_of(id).filter(|_| is_shown).ok_or_else(none)
     }
 
+    pub async fn artifact(&self, id: &str, name: &str) -> ApiResult<Artifact> {
+        let artifacts = self.store.artifacts(id).await?;
+        if let Some(artifact) = artifacts.into_iter().find(|artifact| artifact.name == name) {
+            return Ok(artifact);
+        }
+        self.store.job_state(id).await?.ok_or_else(|| ApiError::not_found("job", id))?;
+        Err(ApiError::not_found("artifact of this job", name))
+    }
+
+    /// Deletes a finished job with its pictures and logs.
+    pub async fn delete_job(&self, id: &str) -> ApiResult<()> {
+        match self.store.delete_job(id, self.now()).await? {
+            JobRemoval::Unknown => Err(ApiError::not_found("job", id)),
+            JobRemoval::Unfinished(state) => {
+                let detail =
+                    format!("the job is {}: cancel it, or wait for its end, and then delete it", state.as_str());
+                Err(ApiError::new(Code::WrongState, detail))
+            }
+            JobRemoval::Done { blobs, attempts } => {
+                tracing::info!(job.id = %id, "job deleted");
+                self.changed();
+                self.discard(blobs);
+                for attempt in attempts {
+                    if let Err(error) = self.logs.delete(&attempt).await {
+                        tracing::error!(attempt.id = %attempt, error = %error, "a log was not deleted");
+                    }
+                }
+                self.clean_up().await;
+                Ok(())
+            }
+        }
+    }
+
+    /// Deletes jobs that ended longer ago than jobs are kept, at most a batch; returns how many.
+    pub async fn delete_old_jobs(&self) -> ApiResult<usize> {
+        let Some(keep) = self.config.keep_jobs else { return Ok(0) };
+        let keep = Millis::try_from(keep.as_millis()).unwrap_or(Millis::MAX);
+        let old = self.store.jobs_finished_before(self.now().saturating_sub(keep), DELETE_BATCH).await?;
+        for id in &old {
+            self.delete_job(id).await?;
+        }
+        Ok(old.len())
+    }
+
     /// Logs of all attempts of a job under headings, or that of one.
-    pub async fn job_log(&self, id: &str, attempt: Option<&str>) -> ApiResult<String> {
+    pub async fn job_log(&self, id: &str, attempt: Option<&str>) -> ApiResult<LogStream> {
         let job = self.job(id).await?;
         if let Some(wanted) = attempt {
             let known = job.attempts.iter().any(|attempt| attempt.id == wanted);
             if !known {
                 return Err(ApiError::not_found("attempt of this job", wanted));
             }
-            return self.logs.read(wanted).await.map_err(ApiError::internal);
+            return Ok(self.logs.read(wanted));
         }
         if job.attempts.is_empty() {
-            return Ok("=== no attempt has begun\n".to_owned());
+            return Ok(text("=== no attempt has begun\n".to_owned()));
         }
-        let mut text = String::new();
-        for attempt in &job.attempts {
-            let task = job.tasks.iter().find(|task| task.id == attempt.task).map_or(0, |task| task.index);
-            let heading = format!("=== task {task}, attempt {}, worker {}", attempt.number, attempt.worker_name);
-            text.push_str(&heading);
-            text.push('\n');
-            text.push_str(&self.logs.read(&attempt.id).await.map_err(ApiError::internal)?);
-        }
-        Ok(text)
+        let sections: Vec<LogStream> = job
+            .attempts
+            .iter()
+            .map(|attempt| {
+                let task = job.tasks.iter().find(|task| task.id == attempt.task).map_or(0, |task| task.index);
+                let (number, worker) = (attempt.number, &attempt.worker_name);
+                let heading = text(format!("=== task {task}, attempt {number}, worker {worker}\n"));
+                heading.chain(self.logs.read(&attempt.id)).boxed()
+            })
+            .collect();
+        Ok(stream::iter(sections).flatten().boxed())
     }
 
     fn idempotency(&self, key: &str, new: &NewJob) -> ApiResult<Idempotency> {
@@ -229,6 +283,10 @@ impl App {
         }
         if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
     }
+}
+
+fn text(text: String) -> LogStream {
+    stream::once(std::future::ready(Ok(text.into()))).boxed()
 }
 
 fn check_camera(settings: &RenderSettings, scene: &Scene) -> Option<FieldError> {

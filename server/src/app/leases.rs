@@ -20,7 +20,7 @@ use super::App;
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
 use crate::queue::Millis;
-use crate::store::{Claim, Claimed, ClaimedTask, Close, LeaseState};
+use crate::store::{Claim, Claimed, ClaimedTask, Close, Completed, LeaseState};
 use crate::web::context::traceparent;
 
 /// Tasks become ready by time alone, too: a waiting worker looks again this often.
@@ -29,32 +29,32 @@ const POLL_PERIOD: Duration = Duration::from_secs(1);
 impl App {
     /// Waits for a task, up to `wait_s`.
     pub async fn lease(&self, request: LeaseRequest) -> ApiResult<Option<Lease>> {
+        self.check_running()?;
         validate_request(&request)?;
         let deadline = Instant::now() + Duration::from_secs(request.wait_s.into());
         let mut changes = self.changes.subscribe();
-        self.sign_of_life(&request.worker).await?;
-        self.live.poll(&request.worker, request.cache.clone(), request.warm.clone());
-        // The first claim also tells an unknown worker from an idle one.
-        let mut look = true;
+        let mut has_told = false;
         loop {
-            if self.shutdown.is_cancelled() {
-                return Ok(None);
-            }
             changes.borrow_and_update();
-            if (look || self.store.has_ready_task(self.now()).await?)
-                && let Some(lease) = self.claim(&request).await?
-            {
+            let offered = self.store.has_task_for(&request.worker, self.now()).await?;
+            // Of a worker that there is not, nothing is kept.
+            let offered = offered.ok_or_else(|| ApiError::not_found("worker", &request.worker))?;
+            self.sign_of_life(&request.worker).await;
+            if !has_told {
+                self.live.poll(&request.worker, request.cache.clone(), request.warm.clone());
+                has_told = true;
+            }
+            if offered && let Some(lease) = self.claim(&request).await? {
                 return Ok(Some(lease));
             }
-            look = false;
             if Instant::now() >= deadline {
                 return Ok(None);
             }
             let pause = tokio::time::sleep_until(deadline.min(Instant::now() + POLL_PERIOD));
             tokio::select! {
-                () = self.shutdown.cancelled() => return Ok(None),
+                () = self.draining.cancelled() => return Ok(None),
                 _ = changes.changed() => {}
-                () = pause => { self.sign_of_life(&request.worker).await?; }
+                () = pause => {}
             }
         }
     }
@@ -110,32 +110,42 @@ impl App {
         if !heartbeat.progress.is_finite() {
             return Err(ApiError::fields(vec![FieldError::new("/progress", "must be 0 to 1")]));
         }
-        if let Some(preview) = &heartbeat.preview
-            && self.blobs.size(preview).await.map_err(ApiError::internal)?.is_none()
-        {
-            return Err(ApiError::fields(vec![FieldError::new("/preview", "is not in the blob store: put it first")]));
-        }
+        let beat = {
+            let _in_use = self.blob_use.read().await;
+            self.check_preview(heartbeat).await?;
+            self.live.beat(&state, heartbeat)
+        };
+        self.discard(beat.old_preview);
         let now = self.now();
-        self.sign_of_life(&state.worker).await?;
+        self.sign_of_life(&state.worker).await;
         let renewed_ago = now + self.ttl_ms() - state.expires_at;
         let mut expires_at = state.expires_at;
-        if renewed_ago > self.ttl_ms() / 6 || state.phase != Some(heartbeat.phase) {
+        // A first beat always renews: should the lease have ended meanwhile, what was just noted of it must go.
+        if beat.is_first || renewed_ago > self.ttl_ms() / 6 || state.phase != Some(heartbeat.phase) {
             expires_at = now + self.ttl_ms();
             let progress = heartbeat.progress.clamp(0.0, 1.0);
-            if !self.store.renew(token, heartbeat.phase, progress, expires_at, now).await? {
+            if !self.store.renew(token, heartbeat.phase, progress, expires_at).await? {
+                self.end_attempt(&state.attempt).await;
                 return Err(lease_ended(Code::LeaseEnded));
             }
         }
-        self.show_progress(&state, heartbeat).await?;
+        self.show_progress(&state, heartbeat, beat.new_preview).await?;
         Ok(HeartbeatReply {
             expires_at: timestamp(expires_at)?,
             cancel: state.cancel_requested,
-            drain: state.draining || self.shutdown.is_cancelled(),
+            drain: state.draining || self.draining.is_cancelled(),
         })
     }
 
-    async fn show_progress(&self, state: &LeaseState, heartbeat: &Heartbeat) -> ApiResult<()> {
-        let beat = self.live.beat(&state.job, &state.task, heartbeat);
+    async fn check_preview(&self, heartbeat: &Heartbeat) -> ApiResult<()> {
+        let Some(preview) = &heartbeat.preview else { return Ok(()) };
+        match self.blobs.size(preview).await.map_err(ApiError::internal)? {
+            Some(_) => Ok(()),
+            None => Err(ApiError::fields(vec![FieldError::new("/preview", "is not in the blob store: put it first")])),
+        }
+    }
+
+    async fn show_progress(&self, state: &LeaseState, heartbeat: &Heartbeat, new_preview: bool) -> ApiResult<()> {
         let running = self.live.tasks();
         let job_progress = self.store.task_progress(&state.job).await?.of_job(|task| Some(running.get(task)?.progress));
         let event = |kind, data| -> ApiResult<Event> {
@@ -146,11 +156,10 @@ impl App {
             "phase": heartbeat.phase, "spp": heartbeat.spp,
         });
         self.tell_progress(event(EventKind::JobProgress, progress)?);
-        if beat.new_preview {
+        if new_preview {
             let href = format!("/v1/jobs/{}/preview.png", state.job);
             self.tell_progress(event(EventKind::JobPreview, json!({ "task": state.task, "href": href }))?);
         }
-        self.delete_unused(beat.old_preview).await?;
         Ok(())
     }
 
@@ -161,53 +170,59 @@ impl App {
     }
 
     pub async fn complete(&self, token: &str, report: &Complete) -> ApiResult<LeaseClosed> {
+        let state = self.known(token).await?;
         let in_use = self.blob_use.read().await;
-        let errors = self.check_artifacts(&report.artifacts).await?;
-        if !errors.is_empty() {
-            return Err(ApiError::fields(errors));
+        // Whoever has lost the lease is told that, whatever it brings.
+        if state.outcome == AttemptOutcome::Running {
+            let errors = self.check_artifacts(&report.artifacts).await?;
+            if !errors.is_empty() {
+                return Err(ApiError::fields(errors));
+            }
         }
-        let close = self.store.complete(token, report, self.now()).await?;
+        let Completed { close, freed } = self.store.complete(token, report, self.now()).await?;
         drop(in_use);
+        self.discard(freed);
         if matches!(close, Close::Closed(_)) {
             for cache in &report.metrics.cache {
                 counter!("lightshaft_structures_total", "source" => cache.source.as_str()).increment(1);
             }
         }
-        self.close(token, close, |outcome| outcome == AttemptOutcome::Succeeded).await
+        self.close(&state, close, |outcome| outcome == AttemptOutcome::Succeeded).await
     }
 
     pub async fn fail(&self, token: &str, report: &Fail) -> ApiResult<LeaseClosed> {
+        let state = self.known(token).await?;
         if report.error.len() > 16 << 10 {
             return Err(ApiError::fields(vec![FieldError::new("/error", "must have at most 16384 bytes")]));
         }
-        self.keep_progress(token).await?;
+        self.keep_progress(token, &state).await?;
         let jitter = rand::random_range(-1.0..=1.0);
         let close = self.store.fail(token, report, jitter, self.now()).await?;
         let expected = report.class.outcome();
-        self.close(token, close, |outcome| outcome == expected || outcome == AttemptOutcome::Cancelled).await
+        self.close(&state, close, |outcome| outcome == expected || outcome == AttemptOutcome::Cancelled).await
     }
 
     pub async fn release(&self, token: &str, report: &Release) -> ApiResult<LeaseClosed> {
-        self.keep_progress(token).await?;
+        let state = self.known(token).await?;
+        self.keep_progress(token, &state).await?;
         let close = self.store.release(token, report.cancelled, self.now()).await?;
         let released = |outcome| matches!(outcome, AttemptOutcome::Interrupted | AttemptOutcome::Cancelled);
-        self.close(token, close, released).await
+        self.close(&state, close, released).await
     }
 
     /// Before a lease ends without success: how far it got is known only here.
-    async fn keep_progress(&self, token: &str) -> ApiResult<()> {
-        if let Some(state) = self.store.lease(token).await?
-            && let Some(progress) = self.live.progress_of(&state.task)
-        {
+    async fn keep_progress(&self, token: &str, state: &LeaseState) -> ApiResult<()> {
+        if let Some(progress) = self.live.progress_of(&state.attempt) {
             self.store.note_progress(token, progress).await?;
         }
         Ok(())
     }
 
-    /// A repeated report is answered like the first; any other report on an ended lease is stale.
+    /// A repeated report is answered like the first; any other report on an ended lease is stale. Once a lease is
+    /// closed, nothing here can fail any more: the answer stands, and whoever waits is woken.
     async fn close(
         &self,
-        token: &str,
+        state: &LeaseState,
         close: Close,
         is_repeat: impl Fn(AttemptOutcome) -> bool,
     ) -> ApiResult<LeaseClosed> {
@@ -219,17 +234,14 @@ impl App {
                 return Err(lease_ended(Code::StaleLease));
             }
             Close::Closed(outcome) => {
-                counter!("lightshaft_attempts_total", "outcome" => outcome.as_str()).increment(1);
-                if let Some(state) = self.store.lease(token).await? {
-                    tracing::info!(
-                        job.id = %state.job, task.id = %state.task, attempt.id = %state.attempt,
-                        worker.id = %state.worker, outcome = outcome.as_str(), "attempt ended"
-                    );
-                    self.sign_of_life(&state.worker).await?;
-                    self.logs.close(&state.attempt).await;
-                    self.end_task(&state.task).await?;
-                }
                 self.changed();
+                counter!("lightshaft_attempts_total", "outcome" => outcome.as_str()).increment(1);
+                tracing::info!(
+                    job.id = %state.job, task.id = %state.task, attempt.id = %state.attempt,
+                    worker.id = %state.worker, outcome = outcome.as_str(), "attempt ended"
+                );
+                self.sign_of_life(&state.worker).await;
+                self.end_attempt(&state.attempt).await;
                 outcome
             }
         };
@@ -246,7 +258,7 @@ impl App {
             );
             counter!("lightshaft_lease_expiries_total").increment(1);
             counter!("lightshaft_attempts_total", "outcome" => AttemptOutcome::Expired.as_str()).increment(1);
-            self.end_task(&lease.task).await?;
+            self.end_attempt(&lease.attempt).await;
         }
         if !expired.is_empty() {
             self.changed();
@@ -254,26 +266,32 @@ impl App {
         Ok(expired.len())
     }
 
-    /// Forgets what was live of a task whose lease has ended.
-    pub(super) async fn end_task(&self, task: &str) -> ApiResult<()> {
-        self.delete_unused(self.live.end_task(task)).await?;
-        Ok(())
+    /// Forgets what is kept only while an attempt runs.
+    pub(super) async fn end_attempt(&self, attempt: &str) {
+        self.discard(self.live.end_attempt(attempt));
+        self.logs.close(attempt).await;
     }
 
+    async fn known(&self, token: &str) -> ApiResult<LeaseState> {
+        self.store.lease(token).await?.ok_or_else(unknown_lease)
+    }
+
+    /// The token is the fence, not the time: a lease that has run out is still held until somebody takes it away.
     async fn held(&self, token: &str, ended: Code) -> ApiResult<LeaseState> {
-        let state = self.store.lease(token).await?.ok_or_else(unknown_lease)?;
-        if state.outcome != AttemptOutcome::Running || state.expires_at <= self.now() {
+        let state = self.known(token).await?;
+        if state.outcome != AttemptOutcome::Running {
             counter!("lightshaft_fenced_reports_total").increment(1);
             return Err(lease_ended(ended));
         }
         Ok(state)
     }
 
-    async fn sign_of_life(&self, worker: &str) -> ApiResult<()> {
-        if self.live.seen(worker, self.now()) {
-            self.store.touch_worker(worker, self.now()).await?;
+    async fn sign_of_life(&self, worker: &str) {
+        if self.live.seen(worker, self.now())
+            && let Err(error) = self.store.touch_worker(worker, self.now()).await
+        {
+            tracing::error!(worker.id = %worker, error = %error, "a sign of life was not written down");
         }
-        Ok(())
     }
 
     fn ttl_ms(&self) -> Millis {

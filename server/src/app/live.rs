@@ -9,6 +9,7 @@ use lightshaft_api::lease::Heartbeat;
 use lightshaft_api::worker::CacheStatus;
 
 use crate::queue::{GONE_AFTER_MS, Millis};
+use crate::store::LeaseState;
 
 /// How often a worker's sign of life is written down.
 const SEEN_FLUSH_MS: Millis = 15_000;
@@ -21,7 +22,8 @@ pub(super) struct Live {
 #[derive(Debug, Default)]
 struct State {
     workers: HashMap<String, LiveWorker>,
-    tasks: HashMap<String, LiveTask>,
+    /// By attempt: a task's attempt before may still be speaking when the next one begins.
+    attempts: HashMap<String, LiveTask>,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -35,6 +37,7 @@ pub(super) struct LiveWorker {
 #[derive(Clone, Debug)]
 pub(super) struct LiveTask {
     pub(super) job: String,
+    task: String,
     pub(super) phase: Phase,
     /// Never falls while the lease lasts.
     pub(super) progress: f64,
@@ -43,7 +46,9 @@ pub(super) struct LiveTask {
 
 /// What a heartbeat changed.
 pub(super) struct Beat {
-    /// A picture that nobody needs any more.
+    /// The attempt was not known here before.
+    pub(super) is_first: bool,
+    /// The picture that another one has taken the place of.
     pub(super) old_preview: Option<String>,
     pub(super) new_preview: bool,
 }
@@ -89,10 +94,17 @@ impl Live {
         ids
     }
 
-    pub(super) fn beat(&self, job: &str, task: &str, heartbeat: &Heartbeat) -> Beat {
+    /// Forgets workers that have not been heard of for so long that they are gone; what they hold is of no use now.
+    pub(super) fn forget_gone_workers(&self, now: Millis) {
+        self.lock().workers.retain(|_, live| now - live.seen_at < GONE_AFTER_MS);
+    }
+
+    pub(super) fn beat(&self, lease: &LeaseState, heartbeat: &Heartbeat) -> Beat {
         let mut state = self.lock();
-        let live = state.tasks.entry(task.to_owned()).or_insert_with(|| LiveTask {
-            job: job.to_owned(),
+        let is_first = !state.attempts.contains_key(&lease.attempt);
+        let live = state.attempts.entry(lease.attempt.clone()).or_insert_with(|| LiveTask {
+            job: lease.job.clone(),
+            task: lease.task.clone(),
             phase: heartbeat.phase,
             progress: 0.0,
             preview: None,
@@ -104,31 +116,82 @@ impl Live {
         if new_preview {
             live.preview.clone_from(&heartbeat.preview);
         }
-        Beat { old_preview, new_preview }
+        Beat { is_first, old_preview, new_preview }
     }
 
-    /// Everything that runs. To be asked before the database is: a task that ends in between then counts as done.
+    /// Everything that runs, by task. To be asked before the database is: a task that ends in between then counts as done.
     pub(super) fn tasks(&self) -> HashMap<String, LiveTask> {
-        self.lock().tasks.clone()
+        let state = self.lock();
+        // Ids of attempts grow with time: the last attempt at a task is the one that counts.
+        let mut attempts: Vec<_> = state.attempts.iter().collect();
+        attempts.sort_by_key(|(attempt, _)| *attempt);
+        attempts.into_iter().map(|(_, live)| (live.task.clone(), live.clone())).collect()
     }
 
-    pub(super) fn progress_of(&self, task: &str) -> Option<f64> {
-        self.lock().tasks.get(task).map(|task| task.progress)
+    pub(super) fn progress_of(&self, attempt: &str) -> Option<f64> {
+        self.lock().attempts.get(attempt).map(|live| live.progress)
     }
 
-    /// Forgets a task whose lease has ended; returns its last preview.
-    pub(super) fn end_task(&self, task: &str) -> Option<String> {
-        self.lock().tasks.remove(task)?.preview
+    /// Forgets an attempt that has ended; returns its last preview.
+    pub(super) fn end_attempt(&self, attempt: &str) -> Option<String> {
+        self.lock().attempts.remove(attempt)?.preview
+    }
+
+    /// Whether a running attempt shows this picture.
+    pub(super) fn shows(&self, preview: &str) -> bool {
+        self.lock().attempts.values().any(|live| live.preview.as_deref() == Some(preview))
     }
 
     pub(super) fn preview_of(&self, job: &str) -> Option<String> {
         let state = self.lock();
-        let of_job = state.tasks.values().filter(|task| task.job == job && task.preview.is_some());
+        let of_job = state.attempts.values().filter(|live| live.job == job && live.preview.is_some());
         of_job.max_by(|a, b| a.progress.total_cmp(&b.progress))?.preview.clone()
     }
 
     /// No code panics while it holds the lock; were one to, the maps would still be whole.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lightshaft_api::job::AttemptOutcome;
+
+    use super::*;
+
+    #[test]
+    fn workers_that_are_gone_are_forgotten() {
+        let live = Live::default();
+        live.seen("old", 0);
+        live.poll("old", CacheStatus::default(), vec!["mesh".to_owned()]);
+        live.seen("new", 1_000);
+        live.forget_gone_workers(GONE_AFTER_MS);
+        assert!(live.worker("old").is_none() && live.worker("new").is_some());
+    }
+
+    #[test]
+    fn the_last_attempt_at_a_task_is_the_one_that_counts() {
+        let live = Live::default();
+        let lease = |attempt: &str| LeaseState {
+            attempt: attempt.to_owned(),
+            task: "task".to_owned(),
+            job: "job".to_owned(),
+            worker: "worker".to_owned(),
+            outcome: AttemptOutcome::Running,
+            phase: None,
+            expires_at: 0,
+            cancel_requested: false,
+            draining: false,
+        };
+        let beat = |progress| Heartbeat { progress, ..Heartbeat::default() };
+        assert!(live.beat(&lease("1"), &beat(0.9)).is_first);
+        assert!(live.beat(&lease("2"), &beat(0.1)).is_first);
+        assert!(!live.beat(&lease("1"), &beat(0.95)).is_first, "a superseded attempt that is still heard");
+        assert_eq!(live.tasks()["task"].progress, 0.1);
+        live.end_attempt("1");
+        assert_eq!((live.tasks()["task"].progress, live.progress_of("2")), (0.1, Some(0.1)));
+        live.end_attempt("2");
+        assert!(live.tasks().is_empty());
     }
 }

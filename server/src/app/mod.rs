@@ -3,6 +3,7 @@
 mod blobs;
 mod demand;
 mod events;
+mod garbage;
 pub mod import;
 mod jobs;
 mod leases;
@@ -21,8 +22,10 @@ use tokio_util::sync::CancellationToken;
 
 use self::demand::RollCall;
 pub use self::events::EventStream;
+use self::garbage::Discarded;
 pub use self::jobs::{Created, KEY_LIFETIME_MS, THUMBNAIL_LABEL, is_label_key};
 use self::live::Live;
+pub use self::logs::LogStream;
 use self::logs::Logs;
 pub use self::scenes::Uploaded;
 use crate::blob::BlobStore;
@@ -42,11 +45,15 @@ pub struct App {
     pub store: Arc<dyn Store>,
     pub blobs: BlobStore,
     pub clock: Arc<dyn Clock>,
+    /// Cancelled first: no new work is taken, but workers may still bring what they have.
+    pub draining: CancellationToken,
+    /// Cancelled last: streams and chores end. Cancels `draining`, too.
     pub shutdown: CancellationToken,
     live: Live,
+    discarded: Discarded,
     roll: RollCall,
     logs: Logs,
-    imports: Semaphore,
+    imports: Arc<Semaphore>,
     /// Read while blobs get a name and then a user, written while unused ones are deleted.
     blob_use: RwLock<()>,
     /// Counts up with every change of the store.
@@ -57,24 +64,42 @@ pub struct App {
 
 pub type Shared = Arc<App>;
 
+/// How a service is stopped.
+#[derive(Clone, Debug)]
+pub struct Stop {
+    /// Not ready any more: no new work is taken, but workers may still bring what they have.
+    pub draining: CancellationToken,
+    /// The end; implies `draining`.
+    pub shutdown: CancellationToken,
+}
+
+impl Default for Stop {
+    fn default() -> Self {
+        let shutdown = CancellationToken::new();
+        Self { draining: shutdown.child_token(), shutdown }
+    }
+}
+
 impl App {
     pub async fn new(
         config: Config,
         store: Arc<dyn Store>,
         blobs: BlobStore,
         clock: Arc<dyn Clock>,
-        shutdown: CancellationToken,
+        stop: Stop,
     ) -> std::io::Result<Shared> {
         let logs = Logs::open(&config.data_dir.join("logs")).await?;
         Ok(Arc::new(Self {
-            imports: Semaphore::new(config.limits.concurrent_imports.max(1)),
+            imports: Arc::new(Semaphore::new(config.limits.concurrent_imports.max(1))),
             roll: RollCall::new(clock.now()),
             config,
             store,
             blobs,
             clock,
-            shutdown,
+            draining: stop.draining,
+            shutdown: stop.shutdown,
             live: Live::default(),
+            discarded: Discarded::default(),
             logs,
             blob_use: RwLock::new(()),
             changes: watch::Sender::new(0),
@@ -92,9 +117,9 @@ impl App {
         self.changes.send_modify(|count| *count += 1);
     }
 
-    /// Refuses new work while the service shuts down.
+    /// Refuses new work while the service stops.
     fn check_running(&self) -> ApiResult<()> {
-        if self.shutdown.is_cancelled() {
+        if self.draining.is_cancelled() {
             return Err(ApiError::new(Code::ShuttingDown, "the service is shutting down: ask again in a few seconds"));
         }
         Ok(())

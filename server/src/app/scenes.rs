@@ -16,6 +16,7 @@ use crate::problems::Code;
 use crate::store::{PageRequest, Removal, SceneRecord};
 use crate::web::body::{media_type, upload};
 
+const THUMBNAIL_BATCH: u32 = 20;
 const ACCEPTED: &str = "model/gltf-binary (.glb), application/zip, model/gltf+json or multipart/form-data";
 
 /// What came of an upload.
@@ -87,6 +88,7 @@ impl App {
         let result = if summary.is_ok() { "imported" } else { "refused" };
         metrics::counter!("lightshaft_scene_imports_total", "result" => result).increment(1);
         let summary = summary?;
+        check_meshes(&summary, self.config.limits.scene_meshes)?;
         if validate_only {
             return Ok(Uploaded::Valid(Box::new(summary)));
         }
@@ -117,7 +119,10 @@ impl App {
         }
         tracing::info!(scene.id = %id, bytes, triangles = scene.summary.triangles_total, "scene imported");
         if self.config.thumbnails && scene.summary.instances > 0 {
-            self.create_thumbnail_job(&scene).await?;
+            // The scene is there whatever comes of this; a chore makes up for it.
+            if let Err(error) = self.create_thumbnail_job(&scene).await {
+                tracing::error!(scene.id = %scene.id, error = %error, "no job for the scene's thumbnail");
+            }
         }
         Ok(Uploaded::New(Box::new(scene)))
     }
@@ -205,7 +210,8 @@ impl App {
         match self.store.delete_scene(id, self.now()).await? {
             Removal::Done => {
                 self.changed();
-                self.delete_unused(blobs).await?;
+                self.discard(blobs);
+                self.clean_up().await;
                 Ok(())
             }
             Removal::Unknown => Err(ApiError::not_found("scene", id)),
@@ -213,6 +219,17 @@ impl App {
                 Err(ApiError::new(Code::InUse, "unfinished jobs use the scene: cancel them or wait for them first"))
             }
         }
+    }
+
+    /// Makes the jobs for thumbnails that scenes still lack, at most a batch.
+    pub async fn create_missing_thumbnail_jobs(&self) -> ApiResult<()> {
+        if !self.config.thumbnails {
+            return Ok(());
+        }
+        for scene in self.store.scenes_without_thumbnail(THUMBNAIL_BATCH).await? {
+            self.create_thumbnail_job(&scene).await?;
+        }
+        Ok(())
     }
 
     /// Hash of the scene's small picture.
@@ -226,6 +243,16 @@ impl App {
         let none = || ApiError::new(Code::NotFound, "the scene has no thumbnail yet");
         picture.map(|artifact| artifact.hash).ok_or_else(none)
     }
+}
+
+/// Reports of workers name every mesh, and have a budget, too.
+fn check_meshes(summary: &SceneSummary, limit: usize) -> ApiResult<()> {
+    let found = summary.meshes.len();
+    if found <= limit {
+        return Ok(());
+    }
+    let detail = format!("{found} different meshes are more than the limit of {limit}: merge some of them");
+    Err(ApiError::with_errors(Code::InvalidScene, vec![FieldError::new("file/meshes", detail)]))
 }
 
 fn unsupported(detail: String) -> ApiError {

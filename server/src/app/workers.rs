@@ -25,7 +25,7 @@ impl App {
                 worker.id = %id, job.id = %expired.job, task.id = %expired.task,
                 "worker registered anew; its task is lost"
             );
-            self.end_task(&expired.task).await?;
+            self.end_attempt(&expired.attempt).await;
         }
         tracing::info!(worker.id = %id, worker.name = %worker.name, "worker registered");
         self.changed();
@@ -40,6 +40,11 @@ impl App {
     pub async fn worker(&self, id: &str) -> ApiResult<Worker> {
         let worker = self.store.worker(id).await?.ok_or_else(|| ApiError::not_found("worker", id))?;
         Ok(self.add_live(worker))
+    }
+
+    /// Forgets what gone workers told of themselves.
+    pub fn forget_gone_workers(&self) {
+        self.live.forget_gone_workers(self.now());
     }
 
     fn add_live(&self, mut worker: Worker) -> Worker {

@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use futures::stream::BoxStream;
@@ -18,7 +18,7 @@ use futures::{Stream, StreamExt, TryStreamExt};
 use lightshaft_api::blob::is_hash;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
-use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreExt};
+use object_store::{GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreExt};
 pub use stage::{StageError, Staged};
 
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +34,7 @@ pub type Result<T, E = BlobError> = std::result::Result<T, E>;
 #[derive(Clone, Debug)]
 pub struct BlobStore {
     objects: Arc<LocalFileSystem>,
+    root: PathBuf,
     staging: PathBuf,
     /// Bytes of all blobs.
     total: Arc<AtomicU64>,
@@ -52,7 +53,7 @@ impl BlobStore {
         let objects = Arc::new(LocalFileSystem::new_with_prefix(&root)?);
         let total: u64 =
             objects.list(None).map_ok(|meta| meta.size).try_fold(0, |a, b| async move { Ok(a + b) }).await?;
-        Ok(Self { objects, staging, total: Arc::new(AtomicU64::new(total)) })
+        Ok(Self { objects, root, staging, total: Arc::new(AtomicU64::new(total)) })
     }
 
     /// Streams an upload into a temporary file, hashing it. `limit` is in bytes; `stall` the longest pause.
@@ -64,28 +65,50 @@ impl BlobStore {
         Staged::write(&self.staging, stream, limit, stall).await
     }
 
-    /// Gives staged bytes their name. Harmless when they are there already.
+    /// Gives staged bytes their name. What is there under it is replaced: it counts as put now, and should the disk have
+    /// spoilt it, it is whole again.
     pub async fn commit(&self, staged: Staged) -> Result<()> {
         let (hash, bytes) = (staged.hash().to_owned(), staged.bytes());
-        if self.size(&hash).await?.is_some() {
-            return Ok(());
-        }
+        let before = self.size(&hash).await?.unwrap_or(0);
         let target = self.objects.path_to_filesystem(&object_path(&hash))?;
-        if let Some(folder) = target.parent() {
-            tokio::fs::create_dir_all(folder).await?;
-        }
-        staged.persist(target).await?;
+        staged.persist(target, self.root.clone()).await?;
         self.total.fetch_add(bytes, Ordering::Relaxed);
+        self.total.fetch_sub(before, Ordering::Relaxed);
         Ok(())
+    }
+
+    /// Makes a blob count as put now; whether it is here.
+    pub async fn touch(&self, hash: &str) -> Result<bool> {
+        if !is_hash(hash) {
+            return Ok(false);
+        }
+        let path = self.objects.path_to_filesystem(&object_path(hash))?;
+        let touch = move || match std::fs::File::options().append(true).open(path) {
+            Ok(file) => file.set_modified(SystemTime::now()).map(|()| true),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
+            Err(error) => Err(error),
+        };
+        Ok(tokio::task::spawn_blocking(touch).await.map_err(std::io::Error::other)??)
+    }
+
+    /// When a blob was last put, if it is here.
+    pub async fn put_at(&self, hash: &str) -> Result<Option<jiff::Timestamp>> {
+        let Some(meta) = self.head(hash).await? else { return Ok(None) };
+        let ms = meta.last_modified.timestamp_millis();
+        Ok(Some(jiff::Timestamp::from_millisecond(ms).map_err(std::io::Error::other)?))
     }
 
     /// The blob's length in bytes, if it is here. A text that is no hash names nothing.
     pub async fn size(&self, hash: &str) -> Result<Option<u64>> {
+        Ok(self.head(hash).await?.map(|meta| meta.size))
+    }
+
+    async fn head(&self, hash: &str) -> Result<Option<ObjectMeta>> {
         if !is_hash(hash) {
             return Ok(None);
         }
         match self.objects.head(&object_path(hash)).await {
-            Ok(meta) => Ok(Some(meta.size)),
+            Ok(meta) => Ok(Some(meta)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(error.into()),
         }
@@ -121,7 +144,7 @@ impl BlobStore {
         }
     }
 
-    /// Hashes of blobs that were last written before a time.
+    /// Hashes of blobs that were last put before a time.
     pub fn older_than(&self, before: jiff::Timestamp) -> BoxStream<'static, Result<String>> {
         let before_ms = before.as_millisecond();
         self.objects
@@ -186,6 +209,32 @@ mod tests {
         reopened.delete(&hash).await.unwrap();
         reopened.delete(&hash).await.unwrap();
         assert_eq!((reopened.size(&hash).await.unwrap(), reopened.total_bytes()), (None, 0));
+    }
+
+    #[tokio::test]
+    async fn what_is_put_again_is_as_new() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = BlobStore::open(dir.path()).await.unwrap();
+        let put = async || store.commit(store.stage(chunks(&["x"]), 100, STALL).await.unwrap()).await.unwrap();
+        put().await;
+        let hash = blake3::hash(b"x").to_hex().to_string();
+        let path = store.objects.path_to_filesystem(&object_path(&hash)).unwrap();
+        let age = || {
+            let file = std::fs::File::options().append(true).open(&path).unwrap();
+            file.set_modified(SystemTime::now() - Duration::from_secs(3600)).unwrap();
+        };
+        let half_an_hour_ago = jiff::Timestamp::now() - jiff::SignedDuration::from_mins(30);
+        age();
+        assert!(store.put_at(&hash).await.unwrap().unwrap() < half_an_hour_ago);
+        std::fs::write(&path, "spoilt").unwrap();
+        age();
+        put().await;
+        assert!(store.put_at(&hash).await.unwrap().unwrap() > half_an_hour_ago);
+        assert_eq!(store.start(&hash, 10).await.unwrap().unwrap(), "x");
+        age();
+        assert!(store.touch(&hash).await.unwrap());
+        assert!(store.put_at(&hash).await.unwrap().unwrap() > half_an_hour_ago);
+        assert!(!store.touch(&"0".repeat(64)).await.unwrap());
     }
 
     #[tokio::test]

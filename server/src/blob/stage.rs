@@ -1,5 +1,6 @@
 //! Bytes on their way in.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -19,7 +20,7 @@ pub enum StageError {
     #[error("the upload was cut off: {0}")]
     Incomplete(String),
     #[error("writing an upload: {0}")]
-    Io(#[from] std::io::Error),
+    Io(#[from] io::Error),
 }
 
 /// A whole upload in a temporary file, which goes when this is dropped.
@@ -80,10 +81,33 @@ impl Staged {
         &self.path
     }
 
-    pub(super) async fn persist(self, target: PathBuf) -> std::io::Result<()> {
+    /// Renames to `target` below `root`, whose folders are made on the way. Once this returns, neither the bytes nor
+    /// the name are lost when the power is.
+    pub(super) async fn persist(self, target: PathBuf, root: PathBuf) -> io::Result<()> {
         let path = self.path;
-        tokio::task::spawn_blocking(move || path.persist(target).map_err(|error| error.error))
-            .await
-            .map_err(std::io::Error::other)?
+        let persist = move || {
+            let folder = target.parent().unwrap_or(&root).to_owned();
+            let is_new_folder = !folder.exists();
+            std::fs::create_dir_all(&folder)?;
+            path.persist(target).map_err(|error| error.error)?;
+            let changed = if is_new_folder { usize::MAX } else { 1 };
+            for folder in folder.ancestors().take_while(|folder| folder.starts_with(&root)).take(changed) {
+                sync_folder(folder)?;
+            }
+            Ok(())
+        };
+        tokio::task::spawn_blocking(persist).await.map_err(io::Error::other)?
     }
+}
+
+/// Writes a folder's entries down (fsync(2): syncing a file does not sync the entry that names it).
+#[cfg(unix)]
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    std::fs::File::open(folder)?.sync_all()
+}
+
+/// Elsewhere folders cannot be opened; the file system keeps the order by itself.
+#[cfg(not(unix))]
+fn sync_folder(_folder: &Path) -> io::Result<()> {
+    Ok(())
 }

@@ -76,10 +76,12 @@ mod tests {
         let code = |status: u16| {
             let problem = Problem {
                 kind: "/problems/x".into(),
+                code: "x".into(),
                 title: "t".into(),
                 status,
                 detail: "d".into(),
                 errors: vec![],
+                instance: None,
                 request_id: None,
             };
             CliError::from(ClientError::Problem { problem: Box::new(problem), retry_after: None }).code()

@@ -136,9 +136,15 @@ mod tests {
 
     #[test]
     fn wrong_usage_is_an_error_of_clap() {
-        for line in
-            ["lightshaft", "lightshaft render", "lightshaft render a.glb", "lightshaft job submit", "lightshaft no"]
-        {
+        for line in [
+            "lightshaft",
+            "lightshaft render",
+            "lightshaft render a.glb",
+            "lightshaft job submit",
+            "lightshaft job list --limit 0",
+            "lightshaft scene list --limit 0",
+            "lightshaft no",
+        ] {
             assert!(Cli::try_parse_from(line.split(' ')).is_err(), "{line}");
         }
     }
@@ -164,6 +170,7 @@ mod tests {
             "lightshaft job show j",
             "lightshaft job cancel j",
             "lightshaft job retry j",
+            "lightshaft job delete j",
             "lightshaft job download j -o out",
             "lightshaft job log j",
             "lightshaft devices --json",

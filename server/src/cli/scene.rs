@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use lightshaft_api::client::{Client, ScenePart, Upload};
-use lightshaft_api::scene::{Bounds, CameraSummary, LightSummary, MeshSummary, Scene, SceneSummary};
+use lightshaft_api::scene::{Scene, SceneSummary};
 use lightshaft_engine::scene::{self as engine, KINDS, Limits, Params, Source};
+use lightshaft_server::app::import::summary;
 use percent_encoding::percent_decode_str;
 use serde_json::{Value, json};
 
@@ -24,7 +25,7 @@ pub(crate) enum Command {
     /// List the scenes of the service.
     List {
         /// At most so many.
-        #[arg(long, default_value_t = 50)]
+        #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..))]
         limit: u32,
     },
     /// Show one scene.
@@ -164,52 +165,11 @@ fn validate(file: &Path, global: &Global) -> Result<()> {
     let scene = Source::open(file, &limits)
         .and_then(|source| engine::import(&source, &limits, &|| false))
         .map_err(|error| CliError::no(output::printable(&format!("{}: {error}", file.display()))))?;
-    let summary = summarise(&scene.summary());
+    let summary = summary(&scene.summary());
     if global.json {
         return output::print_json(&summary);
     }
     output::print(&describe(&scene.name, &summary))
-}
-
-/// The engine's summary as the API shows it.
-fn summarise(summary: &engine::SceneSummary) -> SceneSummary {
-    let bounds =
-        |aabb: engine::Aabb| (!aabb.is_empty()).then(|| Bounds { min: aabb.min.to_array(), max: aabb.max.to_array() });
-    SceneSummary {
-        meshes: summary
-            .meshes
-            .iter()
-            .map(|mesh| MeshSummary {
-                hash: mesh.hash.to_string(),
-                name: mesh.name.clone(),
-                triangles: mesh.triangles,
-                spheres: mesh.spheres,
-                instances: mesh.instances,
-                bounds: bounds(mesh.bounds),
-            })
-            .collect(),
-        instances: summary.instances,
-        triangles_total: summary.triangles_total,
-        triangles_instanced: summary.triangles_instanced,
-        spheres_total: summary.spheres_total,
-        materials: summary.materials.clone(),
-        textures: summary.textures,
-        texture_pixels: summary.texture_pixels,
-        cameras: summary
-            .cameras
-            .iter()
-            .map(|camera| CameraSummary { name: camera.name.clone(), kind: camera.kind.to_owned() })
-            .collect(),
-        lights: summary
-            .lights
-            .iter()
-            .map(|light| LightSummary { name: light.name.clone(), kind: light.kind.to_owned() })
-            .collect(),
-        emitters: summary.emitters,
-        bounds: bounds(summary.bounds),
-        estimated_bytes: summary.estimated_bytes,
-        warnings: summary.warnings.clone(),
-    }
 }
 
 fn print_scene(scene: &Scene, global: &Global) -> Result<()> {

@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use lightshaft_api::settings::DeviceChoice;
 use lightshaft_engine::scene::Limits as SceneLimits;
+use lightshaft_server::app::Stop;
 use lightshaft_server::{Config, ServeError};
 use tokio::sync::oneshot;
-use tokio_util::sync::CancellationToken;
 
 use super::error::{CliError, Result};
 use super::supervisor::Supervisor;
@@ -41,6 +41,9 @@ pub(crate) struct Args {
     /// Do not render a small picture of every new scene.
     #[arg(long)]
     no_thumbnails: bool,
+    /// Days that finished jobs are kept with their pictures and logs. [default: for good]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=36_500), value_name = "DAYS")]
+    keep_jobs_days: Option<u64>,
     /// Megabytes of the largest upload of a scene.
     #[arg(long, default_value_t = 2048, value_name = "MB")]
     max_scene_mb: u64,
@@ -56,15 +59,16 @@ pub(crate) async fn run(args: Args, global: &Global) -> Result<()> {
     config.lease_ttl = Duration::from_secs(args.lease_ttl_s);
     config.device_grace = Duration::from_secs(args.device_grace_s);
     config.thumbnails = !args.no_thumbnails;
+    config.keep_jobs = args.keep_jobs_days.map(|days| Duration::from_secs(days * 24 * 3600));
     config.limits.scene_bytes = args.max_scene_mb.saturating_mul(1 << 20);
     config.limits.import = args.scene_limits.clone();
     // What may be uploaded may also be read.
     config.limits.import.input_bytes = config.limits.import.input_bytes.max(config.limits.scene_bytes);
 
-    let stop = stop_signal()?;
-    let shutdown = CancellationToken::new();
+    let signal = stop_signal()?;
+    let stop = Stop::default();
     let (ready, listening) = oneshot::channel();
-    let mut service = tokio::spawn(lightshaft_server::serve(config, shutdown.clone(), ready));
+    let mut service = tokio::spawn(lightshaft_server::serve(config, stop.clone(), ready));
     let address = match listening.await {
         Ok(address) => address,
         // It ended before it listened, and says why.
@@ -74,15 +78,16 @@ pub(crate) async fn run(args: Args, global: &Global) -> Result<()> {
     let supervisor = Supervisor::start(own_program()?, args.worker_arguments(address, global));
     let early = tokio::select! {
         result = &mut service => Some(result),
-        () = stop => None,
+        () = signal => None,
     };
     tracing::info!("stopping");
-    // Workers first, while there is still a service that takes their tasks back.
+    // Nothing new from now on; then the workers, while there is still a service that takes their tasks back.
+    stop.draining.cancel();
     let stopped = tokio::task::spawn_blocking(move || supervisor.stop()).await;
     if stopped.is_err() {
         tracing::error!("the supervisor of the workers had died");
     }
-    shutdown.cancel();
+    stop.shutdown.cancel();
     finish(match early {
         Some(result) => result,
         None => service.await,

@@ -175,7 +175,8 @@ async fn a_job_page_shows_what_is_known_of_it() {
     let running = get("/jobs/j-running").await.body;
     assert!(running.contains("data-events=\"/v1/jobs/j-running/events\""));
     assert!(running.contains("/v1/jobs/j-running/preview.png?progress=0.42"));
-    assert!(running.contains("/v1/jobs/j-running/cancel"));
+    assert!(running.contains("/v1/jobs/j-running/cancel") && !running.contains("data-method=\"DELETE\""));
+    assert!(done.contains("data-action=\"/v1/jobs/j-succeeded\" data-method=\"DELETE\""));
     assert!(running.contains("name=\"priority\"") && !done.contains("name=\"priority\""), "what is over has no turn");
     let queued = get("/jobs/j-queued").await.body;
     assert!(queued.contains("id=\"waiting\">Every worker &#60;i&#62;left&#60;/i&#62;.</p>"), "{queued}");

@@ -17,3 +17,10 @@ pub(super) async fn run(app: Shared) -> ApiResult<()> {
     }
     Ok(())
 }
+
+/// Deletes what was let go of meanwhile, sooner than that.
+pub(super) async fn delete_discarded(app: Shared) -> ApiResult<()> {
+    let deleted = app.delete_discarded().await?;
+    tracing::debug!(deleted, "discarded blobs deleted");
+    Ok(())
+}

@@ -5,6 +5,7 @@ mod blobs;
 mod demands;
 mod expiry;
 mod leases;
+mod scenes;
 
 use std::time::Duration;
 
@@ -24,6 +25,8 @@ pub fn spawn(app: &Shared) -> JoinSet<()> {
     let often = Duration::from_secs(1);
     chores.spawn(every("demands", app.clone(), often, often, demands::run));
     chores.spawn(every("expiry", app.clone(), Duration::from_secs(60), Duration::from_secs(600), expiry::run));
+    chores.spawn(every("discarded", app.clone(), often, Duration::from_secs(10), blobs::delete_discarded));
+    chores.spawn(every("scenes", app.clone(), Duration::from_secs(10), Duration::from_secs(60), scenes::run));
     chores.spawn(every("blobs", app.clone(), Duration::from_secs(300), Duration::from_secs(6 * 3600), blobs::run));
     chores
 }
@@ -39,7 +42,12 @@ where
             () = app.shutdown.cancelled() => return,
             _ = timer.tick() => {}
         }
-        if let Err(error) = chore(app.clone()).await {
+        // Every chore may be left in its middle: what it had not done yet is done after the next start.
+        let result = tokio::select! {
+            () = app.shutdown.cancelled() => return,
+            result = chore(app.clone()) => result,
+        };
+        if let Err(error) = result {
             tracing::error!(chore = name, error = %error, "chore failed; it will run again");
         }
     }

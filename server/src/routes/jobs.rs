@@ -4,7 +4,8 @@ use std::convert::Infallible;
 use std::time::Duration;
 
 use axum::Json as Reply;
-use axum::extract::{Path, State};
+use axum::body::Body;
+use axum::extract::State;
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::Stream;
@@ -20,7 +21,7 @@ use utoipa::IntoParams;
 use crate::app::{EventStream, Shared, is_label_key};
 use crate::error::{ApiError, ApiResult};
 use crate::store::{JobQuery, PageRequest};
-use crate::web::body::{Id, Json, PageParams, Params};
+use crate::web::body::{Id, Ids, Json, PageParams, Params};
 use crate::web::file;
 use crate::web::page::page;
 
@@ -174,6 +175,19 @@ pub(super) async fn change_job(
     Ok(Reply(app.patch_job(&id, &patch).await?))
 }
 
+/// Deletes a finished job with its pictures and logs; 409 while it is unfinished.
+#[utoipa::path(
+    delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 204, description = "Deleted"),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn delete_job(State(app): State<Shared>, Id(id): Id) -> ApiResult<StatusCode> {
+    app.delete_job(&id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
 /// Cancels a job: waiting tasks end now, running ones within a tile after their next heartbeat. May be repeated.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path, description = "The job")),
@@ -254,12 +268,10 @@ pub(super) async fn list_artifacts(State(app): State<Shared>, Id(id): Id) -> Api
 )]
 pub(super) async fn get_artifact(
     State(app): State<Shared>,
-    Path((id, name)): Path<(String, String)>,
+    Ids(id, name): Ids,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let job = app.job(&id).await?;
-    let artifact = job.artifacts.into_iter().find(|artifact| artifact.name == name);
-    let artifact = artifact.ok_or_else(|| ApiError::not_found("artifact of this job", &name))?;
+    let artifact = app.artifact(&id, &name).await?;
     file::serve(&app, &artifact.hash, &artifact.media_type, file::REVALIDATE, &headers, "artifact").await
 }
 
@@ -298,8 +310,10 @@ pub(super) async fn get_log(
     State(app): State<Shared>,
     Id(id): Id,
     Params(params): Params<LogParams>,
-) -> ApiResult<String> {
-    app.job_log(&id, params.attempt.as_deref()).await
+) -> ApiResult<Response> {
+    let log = app.job_log(&id, params.attempt.as_deref()).await?;
+    let plain = [(header::CONTENT_TYPE, "text/plain; charset=utf-8")];
+    Ok((plain, Body::from_stream(log)).into_response())
 }
 
 /// Events of a job from its beginning, or after `Last-Event-ID`, as server-sent events. Ends with the job.

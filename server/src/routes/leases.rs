@@ -11,7 +11,7 @@ use lightshaft_api::problem::Problem;
 
 use crate::app::Shared;
 use crate::error::ApiResult;
-use crate::web::body::{Id, Json};
+use crate::web::body::{Id, Json, Report};
 
 /// Waits for a task, up to `wait_s`.
 #[utoipa::path(
@@ -75,7 +75,7 @@ pub(super) async fn append_log(
 pub(super) async fn complete(
     State(app): State<Shared>,
     Id(token): Id,
-    Json(report): Json<Complete>,
+    Report(report): Report<Complete>,
 ) -> ApiResult<Reply<LeaseClosed>> {
     Ok(Reply(app.complete(&token, &report).await?))
 }

@@ -56,7 +56,7 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(scenes::get_scene, scenes::delete_scene))
         .routes(routes!(scenes::get_thumbnail))
         .routes(routes!(jobs::list_jobs, jobs::create_job))
-        .routes(routes!(jobs::get_job, jobs::change_job))
+        .routes(routes!(jobs::get_job, jobs::change_job, jobs::delete_job))
         .routes(routes!(jobs::cancel_job))
         .routes(routes!(jobs::retry_job))
         .routes(routes!(jobs::list_tasks))

@@ -80,6 +80,7 @@ pub struct JobRecord {
     pub settings: RenderSettings,
     pub tasks: Vec<TaskWork>,
     pub trace_id: String,
+    /// Made by the service itself, for the scene's thumbnail.
     pub automatic: bool,
 }
 
@@ -140,6 +141,20 @@ pub enum Change {
     SceneGone,
 }
 
+/// The answer to the wish to delete a job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum JobRemoval {
+    Done {
+        /// Blobs of which one name less is left.
+        blobs: Vec<String>,
+        /// Its attempts, which may have left logs.
+        attempts: Vec<String>,
+    },
+    Unknown,
+    /// It has not ended yet.
+    Unfinished(JobState),
+}
+
 /// A worker asks for a task.
 #[derive(Clone, Debug)]
 pub struct Claim {
@@ -198,11 +213,19 @@ pub enum Close {
     Already(AttemptOutcome),
 }
 
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Completed {
+    pub close: Close,
+    /// Blobs of which one name less is left.
+    pub freed: Vec<String>,
+}
+
 /// A task whose lease ran out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Expired {
     pub job: String,
     pub task: String,
+    pub attempt: String,
     pub worker: String,
     /// Whether it will be tried again.
     pub again: bool,
@@ -239,7 +262,8 @@ pub trait Store: Send + Sync + 'static {
     async fn scenes(&self, page: &PageRequest) -> Result<Vec<Scene>>;
     /// Blobs that make up a scene.
     async fn scene_blobs(&self, id: &str) -> Result<Vec<String>>;
-    async fn set_thumbnail_job(&self, scene: &str, job: &str) -> Result<()>;
+    /// Scenes with something in them that no job was ever made for to render their thumbnail.
+    async fn scenes_without_thumbnail(&self, limit: u32) -> Result<Vec<Scene>>;
     async fn thumbnail_job(&self, scene: &str) -> Result<Option<String>>;
     /// Refused while a job that people asked for is unfinished; unfinished automatic jobs are cancelled.
     async fn delete_scene(&self, id: &str, now: Millis) -> Result<Removal>;
@@ -247,7 +271,8 @@ pub trait Store: Send + Sync + 'static {
     async fn mesh(&self, hash: &str) -> Result<Option<Mesh>>;
     /// Blobs of the structures that these meshes have, by mesh.
     async fn find_structures(&self, wanted: &FindStructures) -> Result<BTreeMap<String, String>>;
-    /// The first to tell of a structure is kept; `None` for an unknown mesh.
+    /// The first to tell of a structure is kept, unless its blob is the one that `replaces` names; `None` for an unknown
+    /// mesh.
     async fn add_structure(&self, mesh: &str, structure: &NewStructure, now: Millis) -> Result<Option<Structure>>;
     /// Whether a scene, a structure, an artifact or a job's settings name this blob.
     async fn is_blob_used(&self, hash: &str) -> Result<bool>;
@@ -258,6 +283,7 @@ pub trait Store: Send + Sync + 'static {
     /// The job of a key used before, when the request was the same.
     async fn repeated_job(&self, idempotency: &Idempotency) -> Result<Option<Creation>>;
     async fn job(&self, id: &str) -> Result<Option<Job>>;
+    async fn job_state(&self, id: &str) -> Result<Option<JobState>>;
     async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>>;
     /// Nothing of an unknown job.
     async fn task_progress(&self, job: &str) -> Result<TaskProgress>;
@@ -271,6 +297,10 @@ pub trait Store: Send + Sync + 'static {
     async fn demanding_jobs(&self) -> Result<Vec<Demanding>>;
     /// Fails a job that nobody can do, unless somebody has taken its tasks meanwhile; returns whether.
     async fn give_up_job(&self, id: &str, error: &str, now: Millis) -> Result<bool>;
+    /// Deletes a finished job with all that belongs to it.
+    async fn delete_job(&self, id: &str, now: Millis) -> Result<JobRemoval>;
+    /// Ids of jobs that ended before a time, oldest first; thumbnails of scenes that are there are not among them.
+    async fn jobs_finished_before(&self, before: Millis, limit: u32) -> Result<Vec<String>>;
     async fn patch_job(&self, id: &str, priority: Option<i32>, paused: Option<bool>, now: Millis) -> Result<Change>;
 
     // Workers and leases.
@@ -283,15 +313,17 @@ pub trait Store: Send + Sync + 'static {
     /// False for an unknown worker.
     async fn set_draining(&self, id: &str, draining: bool) -> Result<bool>;
     async fn remove_worker(&self, id: &str, now: Millis) -> Result<Removal>;
-    /// Whether any task could be leased now: a cheap look before a claim.
-    async fn has_ready_task(&self, now: Millis) -> Result<bool>;
+    /// Whether a claim of this worker would find a task: a look that does not keep others from writing. `None` for an
+    /// unknown worker.
+    async fn has_task_for(&self, worker: &str, now: Millis) -> Result<Option<bool>>;
     async fn claim(&self, claim: &Claim) -> Result<Claimed>;
     async fn lease(&self, token: &str) -> Result<Option<LeaseState>>;
-    /// False when the lease has ended.
-    async fn renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis, now: Millis) -> Result<bool>;
+    /// False when the lease has ended. One that has run out, but that nobody has taken away, goes on.
+    async fn renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis) -> Result<bool>;
     /// Notes how far a leased task is, without extending its lease.
     async fn note_progress(&self, token: &str, progress: f64) -> Result<()>;
-    async fn complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Close>;
+    /// A merge also drops the parts that it was made of.
+    async fn complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Completed>;
     /// `jitter` is uniform in -1 to 1.
     async fn fail(&self, token: &str, report: &Fail, jitter: f64, now: Millis) -> Result<Close>;
     /// Given back: cancelled when that was asked for, ready again otherwise.

@@ -1,10 +1,12 @@
 //! Extractors that answer with problem documents: JSON bodies whose errors name the field, queries, path ids.
 
+use std::time::Duration;
+
 use axum::body::Body;
 use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use http::HeaderMap;
 use http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use http::request::Parts;
-use http::{HeaderMap, HeaderValue};
 use http_body_util::{BodyExt, LengthLimitError, Limited};
 use lightshaft_api::problem::{FieldError, escape_pointer};
 use serde::de::DeserializeOwned;
@@ -23,29 +25,41 @@ impl<T: DeserializeOwned> FromRequest<Shared> for Json<T> {
     type Rejection = ApiError;
 
     async fn from_request(request: Request, app: &Shared) -> ApiResult<Self> {
-        if !media_type(request.headers()).is_some_and(|media| media == "application/json" || media.ends_with("+json")) {
-            return Err(ApiError::new(Code::UnsupportedMediaType, "expected Content-Type: application/json"));
-        }
-        let bytes = read_limited(request.headers().get(CONTENT_LENGTH).cloned(), request, app).await?;
-        parse(&bytes).map(Json)
+        read_json(request, app.config.limits.json_bytes, app.config.limits.upload_stall).await.map(Self)
     }
 }
 
-async fn read_limited(length: Option<HeaderValue>, request: Request, app: &Shared) -> ApiResult<bytes::Bytes> {
-    let limit = app.config.limits.json_bytes;
-    let too_large = || ApiError::new(Code::TooLarge, format!("a JSON body must be at most {limit} bytes"));
-    let announced = length.and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_some_and(|length| length > limit) {
+/// A worker's report of success: JSON with a budget of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Report<T>(pub T);
+
+impl<T: DeserializeOwned> FromRequest<Shared> for Report<T> {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, app: &Shared) -> ApiResult<Self> {
+        read_json(request, app.config.limits.report_bytes, app.config.limits.upload_stall).await.map(Self)
+    }
+}
+
+async fn read_json<T: DeserializeOwned>(request: Request, limit: u64, within: Duration) -> ApiResult<T> {
+    if !media_type(request.headers()).is_some_and(|media| media == "application/json" || media.ends_with("+json")) {
+        return Err(ApiError::new(Code::UnsupportedMediaType, "expected Content-Type: application/json"));
+    }
+    let too_large = || ApiError::new(Code::TooLarge, format!("this JSON body must be at most {limit} bytes"));
+    if announced_length(request.headers()).is_some_and(|length| length > limit) {
         return Err(too_large());
     }
     let limited = Limited::new(request.into_body(), usize::try_from(limit).unwrap_or(usize::MAX));
-    let read = tokio::time::timeout(app.config.limits.upload_stall, limited.collect());
-    match read.await {
-        Ok(Ok(body)) => Ok(body.to_bytes()),
+    match tokio::time::timeout(within, limited.collect()).await {
+        Ok(Ok(body)) => parse(&body.to_bytes()),
         Ok(Err(error)) if error.is::<LengthLimitError>() => Err(too_large()),
         Ok(Err(_)) => Err(ApiError::new(Code::IncompleteBody, "the body ended before its announced length")),
         Err(_) => Err(ApiError::new(Code::UploadStalled, "the body did not arrive in time")),
     }
+}
+
+fn announced_length(headers: &HeaderMap) -> Option<u64> {
+    headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }
 
 /// Reads JSON; syntax errors name line and column, all others the field.
@@ -121,17 +135,31 @@ impl FromRequestParts<Shared> for Id {
     type Rejection = ApiError;
 
     async fn from_request_parts(parts: &mut Parts, app: &Shared) -> ApiResult<Self> {
-        match axum::extract::Path::<String>::from_request_parts(parts, app).await {
-            Ok(axum::extract::Path(id)) => Ok(Self(id)),
-            Err(_) => Err(ApiError::new(Code::NotFound, "the address holds no readable id")),
-        }
+        path(parts, app).await.map(Self)
     }
+}
+
+/// The two parameters of a path, as text.
+#[derive(Clone, Debug)]
+pub struct Ids(pub String, pub String);
+
+impl FromRequestParts<Shared> for Ids {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, app: &Shared) -> ApiResult<Self> {
+        path(parts, app).await.map(|(first, second)| Self(first, second))
+    }
+}
+
+async fn path<T: DeserializeOwned + Send>(parts: &mut Parts, app: &Shared) -> ApiResult<T> {
+    let read = axum::extract::Path::<T>::from_request_parts(parts, app).await;
+    let unreadable = |_| ApiError::new(Code::NotFound, "the address holds no readable id");
+    read.map(|axum::extract::Path(found)| found).map_err(unreadable)
 }
 
 /// The body as a stream of an upload, checked against a budget by its announced length first.
 pub fn upload(request: Request, limit: u64) -> ApiResult<Body> {
-    let announced = request.headers().get(CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_some_and(|length| length > limit) {
+    if announced_length(request.headers()).is_some_and(|length| length > limit) {
         return Err(ApiError::new(Code::TooLarge, format!("the body must be at most {limit} bytes")));
     }
     Ok(request.into_body())

@@ -16,6 +16,10 @@ async fn addresses_and_methods_that_do_not_exist_are_problems() {
     let service = Service::start().await;
     let answer = service.get("/v1/nothing").await;
     assert_eq!((answer.status, answer.problem().code()), (StatusCode::NOT_FOUND, "no-such-route"));
+    for path in ["/v1/jobs/%ff", "/v1/jobs/x/artifacts/%ff", "/v1/jobs/%ff/artifacts/x"] {
+        let answer = service.get(path).await;
+        assert_eq!((answer.status, answer.problem().code()), (StatusCode::NOT_FOUND, "not-found"), "{path}");
+    }
     let answer = service.delete("/v1/jobs").await;
     assert_eq!((answer.status, answer.problem().code()), (StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed"));
     assert!(answer.header("allow").contains("GET"), "{}", answer.header("allow"));

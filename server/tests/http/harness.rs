@@ -13,7 +13,7 @@ use lightshaft_api::job::{Job, NewJob};
 use lightshaft_api::lease::{Complete, Lease, LeaseRequest, NewArtifact};
 use lightshaft_api::problem::Problem;
 use lightshaft_api::worker::{Device, DeviceKind, NewWorker};
-use lightshaft_server::app::{App, Shared};
+use lightshaft_server::app::{App, Shared, Stop};
 use lightshaft_server::blob::BlobStore;
 use lightshaft_server::clock::ManualClock;
 use lightshaft_server::routes;
@@ -21,7 +21,6 @@ use lightshaft_server::store::sqlite::SqliteStore;
 use lightshaft_server::{Config, telemetry};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
 pub(crate) struct Service {
@@ -53,6 +52,8 @@ impl Answer {
         let problem: Problem = self.json();
         assert_eq!(problem.status, self.status.as_u16());
         assert_eq!(problem.request_id.as_deref(), Some(self.header("x-request-id")));
+        assert_eq!(problem.kind, format!("/problems/{}", problem.code));
+        assert_eq!(problem.instance, Some(format!("/requests/{}", self.header("x-request-id"))));
         problem
     }
 
@@ -75,7 +76,7 @@ impl Service {
         let store = Arc::new(SqliteStore::open(&dir.path().join("lightshaft.db")).await.unwrap());
         let blobs = BlobStore::open(dir.path()).await.unwrap();
         let clock = Arc::new(ManualClock::new(1_800_000_000_000));
-        let app = App::new(config, store, blobs, clock.clone(), CancellationToken::new()).await.unwrap();
+        let app = App::new(config, store, blobs, clock.clone(), Stop::default()).await.unwrap();
         Self { router: routes::router(app.clone()), app, clock, dir }
     }
 
@@ -89,6 +90,17 @@ impl Service {
             entries.map(|path| if path.is_dir() { count(&path) } else { 1 }).sum()
         }
         count(&self.dir.path().join("blobs"))
+    }
+
+    pub(crate) fn log_files(&self) -> usize {
+        std::fs::read_dir(self.dir.path().join("logs")).unwrap().count()
+    }
+
+    /// Makes a blob one that was put at this time.
+    pub(crate) fn write_blob_at(&self, hash: &str, ms: i64) {
+        let path = self.dir.path().join("blobs").join(&hash[..2]).join(&hash[2..4]).join(hash);
+        let time = std::time::UNIX_EPOCH + std::time::Duration::from_millis(ms.unsigned_abs());
+        std::fs::File::options().append(true).open(path).unwrap().set_modified(time).unwrap();
     }
 
     /// Also listens on a socket; returns a client of it.

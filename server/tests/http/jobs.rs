@@ -250,3 +250,60 @@ async fn a_waiting_job_says_why() {
     service.report(&lease, "fail", json!({ "class": "transient", "error": "download" })).await;
     assert!(why().await.starts_with("the next attempt is at 20"), "{}", why().await);
 }
+
+#[tokio::test]
+async fn a_deleted_job_takes_its_pictures_and_logs_along() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let job = service.job(json!({ "scene": scene })).await.summary.id;
+    let path = format!("/v1/jobs/{job}");
+    let early = service.delete(&path).await;
+    assert_eq!((early.status, early.problem().code()), (StatusCode::CONFLICT, "wrong-state"));
+    let lease = service.lease(&worker).await.unwrap();
+    service.report(&lease, "logs", json!({ "first_sequence": 0, "lines": ["x"] })).await;
+    let before = service.blob_files();
+    service.complete(&lease, "image.png", "a picture").await;
+    assert_eq!((service.blob_files(), service.log_files()), (before + 1, 1));
+    assert_eq!(service.delete(&path).await.status, StatusCode::NO_CONTENT);
+    assert_eq!((service.blob_files(), service.log_files()), (before, 0));
+    assert_eq!(service.get(&path).await.status, StatusCode::NOT_FOUND);
+    assert_eq!(service.delete(&path).await.status, StatusCode::NOT_FOUND);
+    let listed: serde_json::Value = service.get("/v1/jobs").await.json();
+    assert_eq!(listed["items"], json!([]));
+}
+
+#[tokio::test]
+async fn finished_jobs_are_kept_as_long_as_was_asked_for() {
+    let day = std::time::Duration::from_secs(24 * 3600);
+    for (keep, left) in [(None, 2), (Some(day), 1)] {
+        let service = Service::start_with(|config| config.keep_jobs = keep).await;
+        let scene = service.scene(0).await;
+        for _ in 0..2 {
+            let job = service.job(json!({ "scene": scene })).await.summary.id;
+            service.post(&format!("/v1/jobs/{job}/cancel"), json!(null)).await;
+            service.clock.advance(12 * 3_600_000 + 1);
+        }
+        while service.app.delete_old_jobs().await.unwrap() > 0 {}
+        let listed: serde_json::Value = service.get("/v1/jobs").await.json();
+        assert_eq!(listed["items"].as_array().unwrap().len(), left);
+    }
+}
+
+#[tokio::test]
+async fn the_parts_of_a_picture_go_when_they_are_merged() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    service.job(json!({ "scene": scene, "settings": { "split": { "tiles": [2, 1] } } })).await;
+    let before = service.blob_files();
+    for content in ["left", "right"] {
+        let lease = service.lease(&worker).await.unwrap();
+        service.complete(&lease, "part", content).await;
+    }
+    let merge = service.lease(&worker).await.unwrap();
+    assert_eq!(service.blob_files(), before + 2);
+    service.complete(&merge, "image.png", "whole").await;
+    service.app.delete_discarded().await.unwrap();
+    assert_eq!(service.blob_files(), before + 1);
+}

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use http::StatusCode;
 use lightshaft_api::job::{AttemptOutcome, JobState, TaskState, TaskWork};
 use lightshaft_api::lease::HeartbeatReply;
+use lightshaft_server::clock::Clock;
 use serde_json::json;
 
 use crate::harness::{Service, lease_request, new_job, triangle_glb};
@@ -228,6 +229,7 @@ async fn a_preview_is_shown_while_the_task_runs() {
         let beat = json!({ "phase": "render", "progress": 0.5, "preview": preview, "spp": 1 });
         assert_eq!(service.report(&lease, "heartbeat", beat).await.status, StatusCode::OK);
         assert_eq!(service.get(&path).await.body, content.as_bytes());
+        service.app.delete_discarded().await.unwrap();
         assert_eq!(service.blob_files(), before + 1, "the picture before is gone");
     }
     assert_eq!(service.read_job(&job).await.preview, Some(path.clone()));
@@ -298,4 +300,90 @@ async fn requests_for_leases_are_checked() {
     let token = service.post("/v1/leases/secret/heartbeat", json!({ "phase": "render", "progress": 0 })).await;
     assert_eq!(token.status, StatusCode::NOT_FOUND);
     assert!(!token.problem().detail.contains("secret"));
+}
+
+#[tokio::test]
+async fn a_lease_that_ran_out_is_held_until_somebody_takes_it_away() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let job = service.job(json!({ "scene": scene })).await.summary.id;
+    let lease = service.lease(&worker).await.unwrap();
+    // The service was away for longer than a lease lasts.
+    service.clock.advance(600_000);
+    let beat = service.report(&lease, "heartbeat", json!({ "phase": "render", "progress": 0.5 })).await;
+    assert_eq!(beat.status, StatusCode::OK);
+    assert_eq!(service.app.expire_leases().await.unwrap(), 0, "it was renewed");
+    let logs = service.report(&lease, "logs", json!({ "first_sequence": 0, "lines": ["x"] })).await;
+    assert_eq!(logs.status, StatusCode::OK);
+    service.clock.advance(600_000);
+    assert_eq!(service.complete(&lease, "image.png", "whole").await.status, StatusCode::OK);
+    assert_eq!(service.read_job(&job).await.attempts.len(), 1);
+}
+
+#[tokio::test]
+async fn a_stale_lease_is_told_so_before_anything_else() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    service.job(json!({ "scene": scene })).await;
+    let stale = service.lease(&worker).await.unwrap();
+    service.clock.advance(60_000);
+    assert_eq!(service.app.expire_leases().await.unwrap(), 1);
+    let wrong = json!([{ "name": "../x", "media_type": "?", "bytes": 1, "blob": "none" }]);
+    let metrics = serde_json::to_value(lightshaft_api::job::Metrics::default()).unwrap();
+    let body = json!({ "artifacts": wrong, "metrics": metrics });
+    let complete = service.report(&stale, "complete", body.clone()).await;
+    assert_eq!((complete.status, complete.problem().code()), (StatusCode::CONFLICT, "stale-lease"));
+    let fail = service.report(&stale, "fail", json!({ "class": "task", "error": "x".repeat(20_000) })).await;
+    assert_eq!(fail.status, StatusCode::CONFLICT);
+    let beat = json!({ "phase": "render", "progress": 0.5, "preview": "none" });
+    assert_eq!(service.report(&stale, "heartbeat", beat).await.status, StatusCode::GONE);
+    assert_eq!(service.post("/v1/leases/unknown/complete", body).await.status, StatusCode::NOT_FOUND);
+}
+
+#[tokio::test]
+async fn a_preview_goes_only_when_nobody_else_shows_it_and_nobody_put_it_lately() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    for _ in 0..2 {
+        service.job(json!({ "scene": scene })).await;
+    }
+    let (one, two) = (service.lease(&worker).await.unwrap(), service.lease(&worker).await.unwrap());
+    let (black, grey) = (service.store_blob("black").await, service.store_blob("grey").await);
+    let show = async |lease, preview: &str| {
+        let beat = json!({ "phase": "render", "progress": 0.5, "preview": preview });
+        assert_eq!(service.report(lease, "heartbeat", beat).await.status, StatusCode::OK);
+    };
+    let is_there = async |hash: &str| service.get(&format!("/v1/blobs/{hash}")).await.status == StatusCode::OK;
+    show(&one, &black).await;
+    show(&two, &black).await;
+    show(&one, &grey).await;
+    service.app.delete_discarded().await.unwrap();
+    assert!(is_there(&black).await, "the other task shows it");
+    // Somebody is about to name the same bytes.
+    service.write_blob_at(&black, service.clock.now() - 60_000);
+    show(&two, &grey).await;
+    service.app.delete_discarded().await.unwrap();
+    assert!(is_there(&black).await, "it was put a minute ago");
+    service.clock.advance(300_000);
+    service.app.delete_discarded().await.unwrap();
+    assert!(!is_there(&black).await && is_there(&grey).await);
+}
+
+#[tokio::test]
+async fn a_report_may_name_every_mesh_of_a_large_scene() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let job = service.job(json!({ "scene": scene })).await.summary.id;
+    let lease = service.lease(&worker).await.unwrap();
+    let mut metrics = serde_json::to_value(lightshaft_api::job::Metrics::default()).unwrap();
+    let report = |i: usize| json!({ "mesh": format!("{i:064x}"), "structure": "bvh", "source": "memory", "seconds": 0.1, "bytes": 9 });
+    metrics["cache"] = (0..20_000).map(report).collect();
+    let body = json!({ "artifacts": [], "metrics": metrics });
+    assert!(body.to_string().len() > 2 << 20);
+    assert_eq!(service.report(&lease, "complete", body).await.status, StatusCode::OK);
+    assert_eq!(service.read_job(&job).await.metrics.unwrap().cache.len(), 20_000);
 }

@@ -159,3 +159,31 @@ async fn a_50_megabyte_upload_is_quick() {
     assert!(elapsed < Duration::from_secs(6), "{elapsed:?}");
     assert!(size > 50_000_000 && scene.summary.triangles_total == u64::from(vertices / 3));
 }
+
+#[tokio::test]
+async fn a_scene_of_too_many_meshes_is_refused_and_says_so() {
+    let service = Service::start_with(|config| config.limits.scene_meshes = 0).await;
+    let refused = service.upload("model/gltf-binary", crate::harness::triangle_glb(0)).await;
+    assert_eq!((refused.status, refused.problem().code()), (http::StatusCode::UNPROCESSABLE_ENTITY, "invalid-scene"));
+    assert_eq!(refused.pointers(), ["file/meshes"]);
+    assert!(refused.problem().detail.contains("1 different meshes are more than the limit of 0"));
+    assert_eq!((service.blob_files(), service.staged_files()), (0, 0));
+}
+
+#[tokio::test]
+async fn a_thumbnail_that_is_missing_is_made_up_for_once() {
+    let service = Service::start_with(|config| config.thumbnails = true).await;
+    let count = async || {
+        let jobs: serde_json::Value = service.get("/v1/jobs?automatic=true").await.json();
+        jobs["items"].as_array().unwrap().len()
+    };
+    let scene = service.scene(0).await;
+    assert_eq!(count().await, 1);
+    let job = service.app.store.thumbnail_job(&scene).await.unwrap().unwrap();
+    service.app.create_missing_thumbnail_jobs().await.unwrap();
+    assert_eq!(count().await, 1, "it has one");
+    service.post(&format!("/v1/jobs/{job}/cancel"), serde_json::json!(null)).await;
+    service.delete(&format!("/v1/jobs/{job}")).await;
+    service.app.create_missing_thumbnail_jobs().await.unwrap();
+    assert_eq!(count().await, 0, "somebody did not want it");
+}

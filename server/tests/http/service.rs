@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 use http::StatusCode;
 use lightshaft_api::client::Client;
 use lightshaft_api::status::{ServiceState, Status};
+use lightshaft_server::app::Stop;
 use lightshaft_server::telemetry::SERIES;
 use lightshaft_server::{Config, ServeError, serve};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
-use tokio_util::sync::CancellationToken;
 
 use crate::harness::Service;
 
@@ -82,7 +82,7 @@ async fn every_documented_series_is_recorded() {
 async fn strangers_are_only_let_in_when_told_so() {
     let dir = tempfile::tempdir().unwrap();
     let config = Config::new(SocketAddr::from(([0, 0, 0, 0], 0)), dir.path().to_owned());
-    let refused = serve(config, CancellationToken::new(), oneshot::channel().0).await.unwrap_err();
+    let refused = serve(config, Stop::default(), oneshot::channel().0).await.unwrap_err();
     assert!(matches!(refused, ServeError::NotLoopback(_)));
     assert!(refused.to_string().contains("--insecure-local"));
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "nothing was begun");
@@ -95,9 +95,9 @@ async fn a_service_starts_again_where_it_was_and_stops_in_time() {
     config.thumbnails = false;
     let mut scene = None;
     for round in 0..2 {
-        let shutdown = CancellationToken::new();
+        let stop = Stop::default();
         let (ready, address) = oneshot::channel();
-        let running = tokio::spawn(serve(config.clone(), shutdown.clone(), ready));
+        let running = tokio::spawn(serve(config.clone(), stop.clone(), ready));
         let client = Client::new(&format!("http://{}", address.await.unwrap())).unwrap();
         assert!(client.is_ready().await);
         let (uploaded, is_new) =
@@ -106,10 +106,34 @@ async fn a_service_starts_again_where_it_was_and_stops_in_time() {
         assert_eq!(*scene.get_or_insert(uploaded.id.clone()), uploaded.id);
         let _open_stream = client.events(None).await.unwrap();
         let stopped = Instant::now();
-        shutdown.cancel();
+        stop.shutdown.cancel();
         tokio::time::timeout(Duration::from_secs(8), running).await.unwrap().unwrap().unwrap();
         assert!(stopped.elapsed() < Duration::from_secs(8));
     }
+}
+
+#[tokio::test]
+async fn while_it_stops_nothing_new_is_taken_but_workers_bring_what_they_have() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let job = service.job(json!({ "scene": scene })).await.summary.id;
+    service.job(json!({ "scene": scene })).await;
+    let lease = service.lease(&worker).await.unwrap();
+    service.app.draining.cancel();
+    for refused in [
+        service.get("/readyz").await,
+        service.post("/v1/leases", json!({ "worker": worker })).await,
+        service.post("/v1/jobs", json!({ "scene": scene })).await,
+        service.upload("model/gltf-binary", crate::harness::triangle_glb(1)).await,
+    ] {
+        assert_eq!((refused.status, refused.problem().code()), (StatusCode::SERVICE_UNAVAILABLE, "shutting-down"));
+        assert_eq!(refused.header("retry-after"), "5");
+    }
+    let beat = service.report(&lease, "heartbeat", json!({ "phase": "output", "progress": 0.9 })).await;
+    assert!(beat.json::<lightshaft_api::lease::HeartbeatReply>().drain);
+    assert_eq!(service.complete(&lease, "image.png", "picture").await.status, StatusCode::OK);
+    assert_eq!(service.read_job(&job).await.summary.state.as_str(), "succeeded");
 }
 
 #[tokio::test]

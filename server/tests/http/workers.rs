@@ -95,3 +95,23 @@ async fn structures_are_shared_and_show_who_holds_them_warm() {
     structure["kind"] = json!("bvh");
     assert_eq!(service.post(&format!("{unknown}/structures"), structure).await.status, StatusCode::NOT_FOUND);
 }
+
+#[tokio::test]
+async fn nothing_is_kept_of_a_worker_that_there_is_not() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let scene: Value = service.get(&format!("/v1/scenes/{scene}")).await.json();
+    let mesh = scene["meshes"][0]["hash"].as_str().unwrap();
+    let blob = service.store_blob("bvh").await;
+    let structure =
+        json!({ "kind": "bvh", "parameters": "", "builder_version": 1, "bytes": 3, "build_s": 0.5, "blob": blob });
+    service.post(&format!("/v1/meshes/{mesh}/structures"), structure).await;
+    let poll =
+        async |worker: &str| service.post("/v1/leases", json!({ "worker": worker, "warm": [mesh] })).await.status;
+    let warm = async || service.get(&format!("/v1/meshes/{mesh}")).await.json::<Mesh>().structures.remove(0).workers;
+    assert_eq!((poll("nobody").await, warm().await), (StatusCode::NOT_FOUND, Vec::new()));
+    let worker = service.worker(&["cpu"]).await;
+    assert_eq!((poll(&worker).await, warm().await), (StatusCode::NO_CONTENT, vec![worker.clone()]));
+    service.delete(&format!("/v1/workers/{worker}")).await;
+    assert_eq!((poll(&worker).await, warm().await), (StatusCode::NOT_FOUND, Vec::new()));
+}

@@ -56,7 +56,7 @@ async fn multipart_uploads_name_the_file_that_is_missing_or_wrong() {
 
 #[tokio::test]
 async fn a_body_that_stops_halfway_is_forgotten() {
-    let service = Service::start();
+    let service = Service::start_with(&["--no-thumbnails"]);
     let before = files(&service.data());
     let address = service.url().trim_start_matches("http://");
     for head in ["content-length: 1000000", "transfer-encoding: chunked"] {
@@ -66,9 +66,10 @@ async fn a_body_that_stops_halfway_is_forgotten() {
         let body: &[u8] = if head.ends_with("chunked") { b"10\r\nglTF........" } else { b"glTF................" };
         socket.write_all(body).await.unwrap();
         socket.flush().await.unwrap();
+        service.until("what came to be staged", async || (files(&service.data()) != before).then_some(())).await;
         drop(socket);
+        service.until("the partial file to go", async || (files(&service.data()) == before).then_some(())).await;
     }
-    service.until("the partial files to go", async || (files(&service.data()) == before).then_some(())).await;
     assert_works(&service, 0).await;
 }
 

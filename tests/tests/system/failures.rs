@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use lightshaft_tests::{Service, picture, process};
+use reqwest::Method;
 use serde_json::{Value, json};
 
 /// Long enough to be struck in the middle, and then over at the same time on every machine.
@@ -70,6 +71,54 @@ async fn a_killed_service_goes_on_where_it_was() {
 }
 
 #[tokio::test]
+async fn a_worker_elsewhere_goes_on_while_the_service_is_away() {
+    let mut service = Service::start_with(&[SHORT_LEASES, &["--workers", "0"]].concat());
+    let _worker = service.join_worker();
+    let scene = service.generated(&["demo"]).await;
+    let id = service.submit(&scene, three_seconds()).await;
+    rendering(&service, &id).await;
+
+    service.kill_and_restart();
+
+    let job = service.succeeded(&id).await;
+    assert_eq!(outcomes(&job), ["succeeded"], "the one attempt went on: {job:#}");
+    assert_one_picture(&service, &job).await;
+}
+
+#[tokio::test]
+async fn a_service_killed_while_it_takes_a_report_counts_it_once() {
+    let mut service = Service::start_with(&["--workers", "0", "--no-thumbnails"]);
+    let scene = service.generated(&["demo"]).await;
+    let cpu = json!({"kind": "cpu", "name": "cpu", "driver": "", "backend": "", "device_type": ""});
+    let registered = service.post("/v1/workers", &json!({"name": "w", "version": "1", "devices": [cpu]})).await;
+    let worker = registered.json()["id"].as_str().expect("a worker has an id").to_owned();
+    for round in 0..8 {
+        let id = service.submit(&scene, json!({"width": 8, "height": 8})).await;
+        let lease = service.post("/v1/leases", &json!({"worker": worker})).await.json();
+        let picture = format!("picture {round}");
+        let put = service.request(Method::POST, "/v1/blobs").body(picture.clone());
+        let blob = service.send(put).await.json()["hash"].clone();
+        let artifact = json!({"name": "image.png", "media_type": "image/png", "bytes": picture.len(), "blob": blob});
+        let report = json!({"artifacts": [artifact], "metrics": no_metrics()});
+        let path = format!("/v1/leases/{}/complete", lease["token"].as_str().expect("a lease has a token"));
+
+        // From before the report is read until after it is answered.
+        let sending = tokio::spawn(service.request(Method::POST, &path).json(&report).send());
+        tokio::time::sleep(Duration::from_micros(700 * round)).await;
+        service.kill_and_restart();
+        let _ = sending.await;
+
+        let again = service.post(&path, &report).await;
+        assert_eq!((again.status, &again.json()["outcome"]), (200, &json!("succeeded")), "{again:?}");
+        let job = service.succeeded(&id).await;
+        assert_eq!(outcomes(&job), ["succeeded"], "{job:#}");
+        assert_eq!(service.artifact(&job, "image.png").await, picture.as_bytes());
+        let done = service.get(&format!("/v1/workers/{worker}")).await.json()["tasks_done"].clone();
+        assert_eq!(done, round + 1, "each report counts once");
+    }
+}
+
+#[tokio::test]
 async fn a_service_that_is_told_to_stop_takes_its_worker_along() {
     let service = Service::start_with(SHORT_LEASES);
     let scene = service.generated(&["demo"]).await;
@@ -94,6 +143,16 @@ async fn rendering(service: &Service, id: &str) {
         })
         .await;
     tokio::time::sleep(Duration::from_millis(300)).await;
+}
+
+/// A report of a worker that measured nothing.
+fn no_metrics() -> Value {
+    json!({
+        "scene_s": 0, "build_s": 0, "prepare_s": 0, "render_s": 0, "output_s": 0, "total_s": 0,
+        "rays": {"primary": 0, "shadow": 0, "ao": 0, "indirect": 0}, "mrays_per_s": 0, "structure_bytes": 0,
+        "line_space_bytes": 0, "peak_bytes": 0, "device": "", "device_kind": "", "spp": 0, "cache": [], "versions": {},
+        "warnings": [],
+    })
 }
 
 fn outcomes(job: &Value) -> Vec<String> {

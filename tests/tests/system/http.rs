@@ -74,7 +74,18 @@ async fn health_status_and_metrics_tell_how_the_service_is() {
     let metrics = service.get("/metrics").await;
     assert!(metrics.header("content-type").starts_with("text/plain"), "{:?}", metrics.headers);
     let text = metrics.text();
-    assert!(text.lines().any(|line| line.starts_with("lightshaft_") && !line.ends_with(" 0")), "{text}");
+    let value = |series: &str| text.lines().find_map(|line| line.strip_prefix(series)?.trim().parse::<f64>().ok());
+    for (series, least) in [
+        (r#"lightshaft_jobs{state="succeeded"}"#, 1.0),
+        (r#"lightshaft_attempts_total{outcome="succeeded"}"#, 1.0),
+        (r#"lightshaft_scene_imports_total{result="imported"}"#, 1.0),
+        ("lightshaft_scenes", 1.0),
+        ("lightshaft_lease_wait_seconds_count", 1.0),
+        ("lightshaft_blob_bytes", 100.0),
+    ] {
+        assert!(value(series).is_some_and(|found| found >= least), "{series} of at least {least} in\n{text}");
+    }
+    assert_eq!(value(r#"lightshaft_jobs{state="failed"}"#), Some(0.0), "{text}");
 }
 
 #[tokio::test]

@@ -176,6 +176,8 @@ impl StructureStore for LeasedInputs {
             bytes: encoded.len() as u64,
             build_s,
             blob: blake3::hash(&encoded).to_hex().to_string(),
+            // Only what could not be had or read is built: should one be there, it is of no use.
+            replaces: self.known_structure(key).ok().flatten(),
         };
         let upload = async move {
             let _slot = slots.acquire().await;

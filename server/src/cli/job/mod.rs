@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use lightshaft_api::client::JobFilter;
 use lightshaft_api::job::{Job, JobState, JobSummary};
+use serde_json::json;
 
 use super::error::{CliError, Result};
 use super::{Global, output};
@@ -31,7 +32,7 @@ pub(crate) enum Command {
         #[arg(long = "label", value_name = "KEY=VALUE")]
         labels: Vec<String>,
         /// At most so many.
-        #[arg(long, default_value_t = 50)]
+        #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..))]
         limit: u32,
     },
     /// Show one job.
@@ -40,6 +41,8 @@ pub(crate) enum Command {
     Cancel { job: String },
     /// Try a failed or cancelled job again.
     Retry { job: String },
+    /// Delete a finished job with its pictures and logs.
+    Delete { job: String },
     /// Write a job's artifacts into a folder.
     Download {
         job: String,
@@ -70,6 +73,10 @@ pub(crate) async fn run(command: Command, global: &Global) -> Result<()> {
         Command::Show { job } => print_job(&client.job(&job).await?, global),
         Command::Cancel { job } => print_job(&client.cancel_job(&job).await?, global),
         Command::Retry { job } => print_job(&client.retry_job(&job).await?, global),
+        Command::Delete { job } => {
+            client.delete_job(&job).await?;
+            if global.json { output::print_json(&json!({ "deleted": job })) } else { Ok(()) }
+        }
         Command::Download { job, output, names } => download::run(&job, &output, &names, &client, global).await,
         Command::Log { job, attempt } => {
             let log = client.job_log(&job, attempt.as_deref()).await?;

@@ -5,7 +5,7 @@ import { retryMissing } from './images.js';
 
 const EVENTS = [
   'job.created', 'job.changed', 'job.started', 'job.progress', 'job.preview', 'job.succeeded', 'job.failed',
-  'job.cancelled', 'job.retried', 'task.leased', 'task.succeeded', 'task.failed', 'task.retried', 'task.expired',
+  'job.cancelled', 'job.retried', 'job.deleted', 'task.leased', 'task.succeeded', 'task.failed', 'task.retried', 'task.expired',
   'task.cancelled',
 ];
 // At most this often, however many events come.

@@ -4,6 +4,8 @@ use lightshaft_api::job::{AttemptOutcome, JobState, Phase, TaskState};
 use lightshaft_api::lease::RetryClass;
 use lightshaft_api::settings::{DeviceChoice, Split};
 
+use tokio::task::JoinSet;
+
 use super::{Farm, TTL, new_worker};
 use crate::store::{Claim, Claimed, Close};
 
@@ -24,15 +26,20 @@ pub(super) async fn many_workers_at_once_never_get_the_same_task(farm: &Farm) {
     for _ in 0..8 {
         workers.push(farm.worker().await);
     }
-    let claims = workers.iter().map(|worker| async {
-        let mut tasks = Vec::new();
-        while let Some(held) = farm.claim(worker).await {
-            assert_eq!(farm.complete(&held).await, Close::Closed(AttemptOutcome::Succeeded));
-            tasks.push(held.task.task);
-        }
-        tasks
-    });
-    let mut all = futures::future::join_all(claims).await.concat();
+    let mut claims = JoinSet::new();
+    for worker in workers {
+        let farm = farm.clone();
+        claims.spawn(async move {
+            let mut tasks = Vec::new();
+            while let Some(held) = farm.claim(&worker).await {
+                assert_eq!(farm.complete(&held).await, Close::Closed(AttemptOutcome::Succeeded));
+                tasks.push(held.task.task);
+            }
+            tasks
+        });
+    }
+    let mut all = claims.join_all().await.concat();
+    assert_eq!(all.len(), 40);
     all.sort();
     all.dedup();
     assert_eq!(all.len(), 40);
@@ -136,20 +143,64 @@ pub(super) async fn an_unknown_worker_is_told_so(farm: &Farm) {
     assert!(matches!(farm.store.claim(&claim).await.unwrap(), Claimed::UnknownWorker));
 }
 
-pub(super) async fn a_lease_is_renewed_only_while_it_lasts(farm: &Farm) {
+pub(super) async fn a_lease_is_renewed_until_it_is_taken_away(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     farm.job(&scene).await;
     let worker = farm.worker().await;
     let held = farm.claim(&worker).await.unwrap();
-    let renew = || farm.store.renew(&held.token, Phase::Render, 0.5, farm.now() + TTL, farm.now());
+    let renew = || farm.store.renew(&held.token, Phase::Render, 0.5, farm.now() + TTL);
     farm.wait(TTL - 1);
     assert!(renew().await.unwrap());
-    farm.wait(TTL - 1);
-    assert!(renew().await.unwrap());
-    farm.wait(TTL);
-    assert!(!renew().await.unwrap(), "too late, though nobody has looked yet");
+    farm.wait(10 * TTL);
+    assert!(renew().await.unwrap(), "late, but it is still this worker's");
+    assert!(farm.store.expire_leases(farm.now()).await.unwrap().is_empty());
     let state = farm.store.lease(&held.token).await.unwrap().unwrap();
     assert_eq!((state.phase, state.outcome), (Some(Phase::Render), AttemptOutcome::Running));
+    farm.wait(TTL);
+    assert_eq!(farm.store.expire_leases(farm.now()).await.unwrap()[0].attempt, state.attempt);
+    assert!(!renew().await.unwrap(), "the task is free for others");
+}
+
+pub(super) async fn a_look_tells_what_a_claim_would_find(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let (cpu, gpu) = (farm.worker().await, farm.worker_with(&["cpu", "Radeon RX"]).await);
+    let look = async |worker: &str| farm.store.has_task_for(worker, farm.now()).await.unwrap();
+    assert_eq!(look("nobody").await, None);
+    assert_eq!((look(&cpu).await, look(&gpu).await), (Some(false), Some(false)));
+    let demanding = farm
+        .job_with(&scene, |job| {
+            job.settings.device = DeviceChoice::Gpu;
+            job.settings.adapter = Some("radeon".to_owned());
+        })
+        .await;
+    assert_eq!((look(&cpu).await, look(&gpu).await), (Some(false), Some(true)));
+    farm.store.patch_job(&demanding, None, Some(true), farm.now()).await.unwrap();
+    assert_eq!(look(&gpu).await, Some(false), "paused");
+    farm.store.patch_job(&demanding, None, Some(false), farm.now()).await.unwrap();
+    farm.store.set_draining(&gpu, true).await.unwrap();
+    assert_eq!(look(&gpu).await, Some(false), "draining");
+    farm.store.set_draining(&gpu, false).await.unwrap();
+    let held = farm.claim(&gpu).await.unwrap();
+    farm.fail(&held, RetryClass::Worker).await;
+    assert_eq!((look(&gpu).await, farm.claim(&gpu).await.is_some()), (Some(false), false), "a moment for its driver");
+}
+
+pub(super) async fn poison_is_twice_in_a_row(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.max_attempts = 20).await;
+    let worker = farm.worker().await;
+    let lose = async || {
+        let held = farm.claim(&worker).await.unwrap();
+        farm.store.renew(&held.token, Phase::Render, 0.1, farm.now() + TTL).await.unwrap();
+        farm.wait(TTL);
+        farm.store.expire_leases(farm.now()).await.unwrap()[0].again
+    };
+    assert!(lose().await);
+    let between = farm.claim(&worker).await.unwrap();
+    farm.fail(&between, RetryClass::Task).await;
+    assert!(lose().await, "between the two it got on");
+    assert!(!lose().await);
+    assert_eq!(farm.task_states(&job).await, [TaskState::Dead]);
 }
 
 pub(super) async fn progress_only_falls_when_a_task_starts_anew(farm: &Farm) {
@@ -163,8 +214,8 @@ pub(super) async fn progress_only_falls_when_a_task_starts_anew(farm: &Farm) {
     };
     let (left, right) = (farm.claim(&worker).await.unwrap(), farm.claim(&worker).await.unwrap());
     let renew = async |held: &super::Held, fraction| {
-        let (now, until) = (farm.now(), farm.now() + TTL);
-        assert!(farm.store.renew(&held.token, Phase::Render, fraction, until, now).await.unwrap());
+        let until = farm.now() + TTL;
+        assert!(farm.store.renew(&held.token, Phase::Render, fraction, until).await.unwrap());
     };
     renew(&left, 0.6).await;
     renew(&left, 0.3).await;
@@ -330,9 +381,9 @@ pub(super) async fn a_transient_failure_waits(farm: &Farm) {
     farm.fail(&held, RetryClass::Transient).await;
     farm.wait(9_999);
     assert!(farm.claim(&worker).await.is_none());
-    assert!(!farm.store.has_ready_task(farm.now()).await.unwrap());
+    assert!(!farm.store.has_task_for(&worker, farm.now()).await.unwrap().unwrap());
     farm.wait(1);
-    assert!(farm.store.has_ready_task(farm.now()).await.unwrap());
+    assert!(farm.store.has_task_for(&worker, farm.now()).await.unwrap().unwrap());
     assert_eq!(farm.claim(&worker).await.unwrap().task.number, 2);
 }
 
@@ -402,7 +453,7 @@ pub(super) async fn a_task_that_kills_its_workers_dies(farm: &Farm) {
     let worker = farm.worker().await;
     for last in [false, true] {
         let held = farm.claim(&worker).await.unwrap();
-        farm.store.renew(&held.token, Phase::Structures, 0.1, farm.now() + TTL, farm.now()).await.unwrap();
+        farm.store.renew(&held.token, Phase::Structures, 0.1, farm.now() + TTL).await.unwrap();
         farm.wait(TTL);
         let expired = farm.store.expire_leases(farm.now()).await.unwrap();
         assert_eq!(expired[0].again, !last);
@@ -420,6 +471,8 @@ pub(super) async fn a_worker_that_registers_anew_has_lost_its_lease(farm: &Farm)
     assert_eq!((expired.len(), &expired[0].task), (1, &lost.task.task));
     assert_eq!(farm.complete(&lost).await, Close::Already(AttemptOutcome::Expired));
     assert_eq!(farm.claim(&worker).await.unwrap().task.number, 2, "at once, not after the lease's time");
+    let error = farm.read(&lost.task.job).await.attempts[0].error.clone().unwrap();
+    assert!(error.contains("started anew") && !error.contains("heartbeat"), "{error}");
 }
 
 pub(super) async fn a_cancelled_task_is_released_as_cancelled(farm: &Farm) {

@@ -22,11 +22,12 @@ use crate::queue::{Millis, plan};
 pub(super) const TTL: Millis = 60_000;
 
 /// A store with a clock and the things that every test needs.
+#[derive(Clone)]
 pub(super) struct Farm {
     pub(super) store: Arc<dyn Store>,
-    now: AtomicI64,
-    scenes: AtomicU32,
-    _dir: tempfile::TempDir,
+    now: Arc<AtomicI64>,
+    scenes: Arc<AtomicU32>,
+    _dir: Arc<tempfile::TempDir>,
 }
 
 /// A lease as its worker holds it.
@@ -40,7 +41,8 @@ impl Farm {
     pub(super) async fn sqlite() -> Self {
         let dir = tempfile::tempdir().unwrap();
         let store = Arc::new(SqliteStore::open(&dir.path().join("test.db")).await.unwrap());
-        Self { store, now: AtomicI64::new(1_800_000_000_000), scenes: AtomicU32::new(0), _dir: dir }
+        let now = Arc::new(AtomicI64::new(1_800_000_000_000));
+        Self { store, now, scenes: Arc::default(), _dir: Arc::new(dir) }
     }
 
     pub(super) fn now(&self) -> Millis {
@@ -111,7 +113,8 @@ impl Farm {
             blob: format!("blob of {}", held.token),
         };
         let metrics = Metrics { render_s: 1.0, ..Metrics::default() };
-        self.store.complete(&held.token, &Complete { artifacts: vec![artifact], metrics }, self.now()).await.unwrap()
+        let report = Complete { artifacts: vec![artifact], metrics };
+        self.store.complete(&held.token, &report, self.now()).await.unwrap().close
     }
 
     pub(super) async fn fail(&self, held: &Held, class: RetryClass) -> Close {
@@ -207,7 +210,7 @@ macro_rules! suite {
     ($store:ident, $open:expr; $($module:ident: $($behaviour:ident),+;)+) => {
         mod $store {
             $(mod $module {
-                $(#[tokio::test]
+                $(#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
                 async fn $behaviour() {
                     super::super::$module::$behaviour(&$open.await).await;
                 })+
@@ -230,7 +233,9 @@ suite! {
         a_warm_worker_gets_the_scene_it_holds,
         a_draining_worker_gets_nothing,
         an_unknown_worker_is_told_so,
-        a_lease_is_renewed_only_while_it_lasts,
+        a_lease_is_renewed_until_it_is_taken_away,
+        poison_is_twice_in_a_row,
+        a_look_tells_what_a_claim_would_find,
         progress_only_falls_when_a_task_starts_anew,
         complete_counts_once,
         complete_of_an_unknown_lease_is_ignored,
@@ -255,6 +260,10 @@ suite! {
         an_idempotency_key_makes_one_job,
         an_idempotency_key_is_forgotten,
         a_merge_waits_for_every_part,
+        a_merged_picture_leaves_no_parts,
+        only_finished_jobs_are_deleted_and_then_with_everything,
+        old_jobs_are_found_but_thumbnails_stay,
+        scenes_get_one_thumbnail_each,
         a_retry_repeats_only_what_did_not_succeed,
         a_job_that_nobody_can_do_is_given_up_unless_taken,
         running_and_succeeded_jobs_are_not_retried,
@@ -266,6 +275,7 @@ suite! {
         a_scene_in_use_is_not_deleted,
         deleting_a_scene_cancels_its_automatic_jobs,
         the_first_structure_of_a_key_is_kept,
+        an_unreadable_structure_is_replaced_once,
         used_blobs_are_known,
         a_busy_worker_is_not_removed,
         the_store_can_be_written,

@@ -114,7 +114,7 @@ async fn apply(farm: &Farm, scene: &str, workers: &[String], seen: &mut Seen, st
         Step::Renew { lease, phase } => {
             let Some(i) = pick(lease, seen.leases.len()) else { return };
             let token = &seen.leases[i].token;
-            let renewed = farm.store.renew(token, phase, 0.5, farm.now() + TTL, farm.now()).await.unwrap();
+            let renewed = farm.store.renew(token, phase, 0.5, farm.now() + TTL).await.unwrap();
             assert!(!renewed || !seen.ended.contains_key(token), "an ended lease was renewed");
         }
         Step::Complete { lease } => {

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use lightshaft_api::event::EventKind;
-use lightshaft_api::job::{JobState, TaskState};
-use lightshaft_api::lease::RetryClass;
+use lightshaft_api::job::{AttemptOutcome, CacheReport, CacheSource, JobState, Metrics, TaskState};
+use lightshaft_api::lease::{Complete, NewArtifact, RetryClass};
 use lightshaft_api::mesh::{FindStructures, NewStructure};
 use lightshaft_api::settings::{DeviceChoice, Environment, EnvironmentMap, Split};
 
 use super::{Farm, job_record, scene_record};
-use crate::store::{Change, Creation, Idempotency, JobQuery, PageRequest, Removal};
+use crate::store::{Change, Close, Creation, Idempotency, JobQuery, JobRemoval, PageRequest, Removal};
 
 fn first_page(limit: u32) -> PageRequest {
     PageRequest { limit, after: None }
@@ -70,6 +70,100 @@ pub(super) async fn a_merge_waits_for_every_part(farm: &Farm) {
     let job = farm.read(&job).await;
     assert_eq!((job.summary.state, job.artifacts.len()), (JobState::Succeeded, 1));
     assert_eq!(job.metrics.unwrap().render_s, 3.0, "over all tasks");
+}
+
+pub(super) async fn a_merged_picture_leaves_no_parts(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Passes(2))).await;
+    let worker = farm.worker().await;
+    let report = |blob: &str, name: &str, source| {
+        let cache = CacheReport { mesh: "m".to_owned(), structure: "bvh".to_owned(), source, seconds: 1.0, bytes: 8 };
+        let artifact =
+            NewArtifact { name: name.to_owned(), media_type: "x/y".to_owned(), bytes: 1, blob: blob.to_owned() };
+        Complete { artifacts: vec![artifact], metrics: Metrics { cache: vec![cache], ..Metrics::default() } }
+    };
+    for blob in ["left", "right"] {
+        let held = farm.claim(&worker).await.unwrap();
+        let part = report(blob, NewArtifact::PART, CacheSource::Memory);
+        assert!(farm.store.complete(&held.token, &part, farm.now()).await.unwrap().freed.is_empty());
+        assert!(farm.store.is_blob_used(blob).await.unwrap());
+    }
+    let merge = farm.claim(&worker).await.unwrap();
+    let whole = report("whole", "image.png", CacheSource::Memory);
+    let mut completed = farm.store.complete(&merge.token, &whole, farm.now()).await.unwrap();
+    completed.freed.sort();
+    assert_eq!(completed.freed, ["left", "right"]);
+    for (blob, is_used) in [("left", false), ("right", false), ("whole", true)] {
+        assert_eq!(farm.store.is_blob_used(blob).await.unwrap(), is_used, "{blob}");
+    }
+    let cache = farm.read(&job).await.metrics.unwrap().cache;
+    assert_eq!((cache.len(), cache[0].seconds), (1, 3.0), "once, however many tasks");
+    let again = farm.store.complete(&merge.token, &whole, farm.now()).await.unwrap();
+    assert_eq!((again.close, again.freed.len()), (Close::Already(AttemptOutcome::Succeeded), 0));
+}
+
+pub(super) async fn only_finished_jobs_are_deleted_and_then_with_everything(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let key = Idempotency { key: "k".to_owned(), fingerprint: "f".to_owned(), not_before: 0 };
+    let mut record = job_record(&scene);
+    record.labels.insert("a".to_owned(), "b".to_owned());
+    let map = EnvironmentMap { map: "sky".to_owned(), intensity: 1.0, rotation_deg: 0.0 };
+    record.settings.environment = Some(Environment::Map(map));
+    farm.store.create_job(&record, Some(&key), farm.now()).await.unwrap();
+    let (job, other) = (record.id, farm.job(&scene).await);
+    let worker = farm.worker().await;
+    let delete = async |id: &str| farm.store.delete_job(id, farm.now()).await.unwrap();
+    assert_eq!(delete("none").await, JobRemoval::Unknown);
+    assert_eq!(delete(&job).await, JobRemoval::Unfinished(JobState::Queued));
+    let failed = farm.claim(&worker).await.unwrap();
+    farm.fail(&failed, RetryClass::Task).await;
+    let held = farm.claim(&worker).await.unwrap();
+    assert_eq!(held.task.job, job);
+    assert_eq!(delete(&job).await, JobRemoval::Unfinished(JobState::Running));
+    farm.complete(&held).await;
+    let artifact = format!("blob of {}", held.token);
+    let JobRemoval::Done { blobs, attempts } = delete(&job).await else { panic!("it has ended") };
+    assert_eq!((blobs, attempts.len()), (vec![artifact.clone(), "sky".to_owned()], 2));
+    assert!(farm.store.job(&job).await.unwrap().is_none() && farm.store.lease(&held.token).await.unwrap().is_none());
+    assert!(!farm.store.is_blob_used(&artifact).await.unwrap() && !farm.store.is_blob_used("sky").await.unwrap());
+    assert_eq!(farm.store.repeated_job(&key).await.unwrap(), None, "its key is free again");
+    let events = farm.store.events_after(0, Some(&job), 100).await.unwrap();
+    assert_eq!(events.iter().map(|event| event.kind).collect::<Vec<_>>(), [EventKind::JobDeleted]);
+    assert_eq!(delete(&job).await, JobRemoval::Unknown);
+    assert_eq!(farm.state(&other).await, JobState::Queued, "others stay");
+}
+
+pub(super) async fn old_jobs_are_found_but_thumbnails_stay(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let thumbnail = farm.job_with(&scene, |job| job.automatic = true).await;
+    let (old, recent, open) = (farm.job(&scene).await, farm.job(&scene).await, farm.job(&scene).await);
+    for id in [&thumbnail, &old] {
+        farm.store.cancel_job(id, farm.now()).await.unwrap();
+    }
+    farm.wait(1_000);
+    farm.store.cancel_job(&recent, farm.now()).await.unwrap();
+    let find = async |before| farm.store.jobs_finished_before(before, 10).await.unwrap();
+    assert_eq!(find(farm.now()).await, [old.clone()]);
+    assert_eq!(find(farm.now() + 1).await, [old.clone(), recent.clone()]);
+    assert_eq!(farm.store.jobs_finished_before(farm.now() + 1, 1).await.unwrap(), [old.clone()]);
+    farm.store.cancel_job(&open, farm.now()).await.unwrap();
+    farm.store.delete_scene(&scene, farm.now()).await.unwrap();
+    assert!(find(farm.now()).await.contains(&thumbnail), "its scene has gone");
+}
+
+pub(super) async fn scenes_get_one_thumbnail_each(farm: &Farm) {
+    let (first, second) = (farm.scene().await.0, farm.scene().await.0);
+    let bare = async || {
+        let scenes = farm.store.scenes_without_thumbnail(10).await.unwrap();
+        scenes.into_iter().map(|scene| scene.id).collect::<Vec<_>>()
+    };
+    assert_eq!(bare().await, [first.clone(), second.clone()]);
+    farm.job(&first).await;
+    let job = farm.job_with(&first, |job| job.automatic = true).await;
+    assert_eq!(bare().await, [second.clone()]);
+    assert_eq!(farm.store.thumbnail_job(&first).await.unwrap(), Some(job));
+    farm.store.delete_scene(&second, farm.now()).await.unwrap();
+    assert!(bare().await.is_empty());
 }
 
 pub(super) async fn a_retry_repeats_only_what_did_not_succeed(farm: &Farm) {
@@ -278,6 +372,7 @@ pub(super) async fn the_first_structure_of_a_key_is_kept(farm: &Farm) {
         bytes: 10,
         build_s: 0.5,
         blob: blob.to_owned(),
+        replaces: None,
     };
     let first = farm.store.add_structure(&mesh, &structure("a"), farm.now()).await.unwrap().unwrap();
     let second = farm.store.add_structure(&mesh, &structure("b"), farm.now()).await.unwrap().unwrap();
@@ -295,6 +390,26 @@ pub(super) async fn the_first_structure_of_a_key_is_kept(farm: &Farm) {
     };
     assert_eq!(find("quality=medium", 1).await, BTreeMap::from([(mesh.clone(), "a".to_owned())]));
     assert!(find("quality=high", 1).await.is_empty() && find("quality=medium", 2).await.is_empty());
+}
+
+pub(super) async fn an_unreadable_structure_is_replaced_once(farm: &Farm) {
+    let (_, mesh) = farm.scene().await;
+    let add = async |blob: &str, replaces: Option<&str>| {
+        let structure = NewStructure {
+            kind: "bvh".to_owned(),
+            parameters: "p".to_owned(),
+            builder_version: 1,
+            bytes: 4,
+            build_s: 1.0,
+            blob: blob.to_owned(),
+            replaces: replaces.map(str::to_owned),
+        };
+        farm.store.add_structure(&mesh, &structure, farm.now()).await.unwrap().unwrap().blob
+    };
+    assert_eq!(add("bad", None).await, "bad");
+    assert_eq!(add("good", Some("bad")).await, "good");
+    assert_eq!(add("late", Some("bad")).await, "good", "what was bad has been replaced already");
+    assert!(!farm.store.is_blob_used("bad").await.unwrap());
 }
 
 pub(super) async fn used_blobs_are_known(farm: &Farm) {

@@ -8,17 +8,10 @@ use sqlx::FromRow;
 
 use super::events::emit;
 use super::jobs::refresh_job;
-use super::{SqliteStore, Tx, commit, context, from_json, from_name, to_json};
-use crate::queue::{GONE_AFTER_MS, Millis, WARM_PATIENCE_MS, WORKER_PATIENCE_MS, WORKER_PAUSE_MS};
+use super::offers::{read_worker, take_best};
+use super::{SqliteStore, Tx, commit, context, from_json, from_name};
+use crate::queue::Millis;
 use crate::store::{Claim, Claimed, ClaimedTask, LeaseState, Result};
-
-#[derive(FromRow)]
-struct WorkerRow {
-    has_cpu: bool,
-    has_gpu: bool,
-    gpu_names: String,
-    draining: bool,
-}
 
 #[derive(FromRow)]
 struct TaskRow {
@@ -49,18 +42,11 @@ struct LeaseRow {
 impl SqliteStore {
     pub(super) async fn do_claim(&self, claim: &Claim) -> Result<Claimed> {
         let mut tx = self.begin().await?;
-        let worker: Option<WorkerRow> = sqlx::query_as(
-            "SELECT has_cpu, has_gpu, gpu_names, draining FROM worker WHERE id = $1 AND removed_at IS NULL",
-        )
-        .bind(&claim.worker)
-        .fetch_optional(&mut *tx)
-        .await
-        .map_err(context("looking up a worker"))?;
-        let Some(worker) = worker else { return Ok(Claimed::UnknownWorker) };
+        let Some(worker) = read_worker(&mut *tx, &claim.worker).await? else { return Ok(Claimed::UnknownWorker) };
         if worker.draining {
             return Ok(Claimed::Nothing);
         }
-        let Some(task) = lease_best(&mut tx, claim, &worker).await? else { return Ok(Claimed::Nothing) };
+        let Some(task) = take_best(&mut tx, claim, &worker).await? else { return Ok(Claimed::Nothing) };
         let row: TaskRow = sqlx::query_as(
             "SELECT t.id, t.job_id, t.work, t.leases, t.run_at, j.settings, j.trace_id, j.scene_id,
                     s.name AS scene_name
@@ -130,23 +116,15 @@ impl SqliteStore {
         .transpose()
     }
 
-    pub(super) async fn do_renew(
-        &self,
-        token: &str,
-        phase: Phase,
-        progress: f64,
-        expires_at: Millis,
-        now: Millis,
-    ) -> Result<bool> {
+    pub(super) async fn do_renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis) -> Result<bool> {
         let mut tx = self.begin().await?;
         let renewed = sqlx::query(
             "UPDATE task SET lease_expires_at = $2, progress = MAX(progress, $3)
-             WHERE lease_token = $1 AND state = 'leased' AND lease_expires_at > $4",
+             WHERE lease_token = $1 AND state = 'leased'",
         )
         .bind(token)
         .bind(expires_at)
         .bind(progress)
-        .bind(now)
         .execute(&mut *tx)
         .await
         .map_err(context("renewing a lease"))?;
@@ -172,64 +150,6 @@ impl SqliteStore {
             .map_err(context("noting a task's progress"))?;
         Ok(())
     }
-}
-
-/// The claim itself. Among the first 64 tasks that this worker may take, in order of priority and age, the one whose
-/// meshes it holds warm (weighed by primitives) goes first; a task that has waited for long goes before any of that.
-/// A worker that has failed at a task or a job is kept from it only while another one is there that could do it.
-async fn lease_best(tx: &mut Tx, claim: &Claim, worker: &WorkerRow) -> Result<Option<String>> {
-    sqlx::query_scalar(
-        "UPDATE task SET state = 'leased', leases = leases + 1, progress = 0, worker_id = $1, lease_token = $2,
-                         lease_expires_at = $4
-         WHERE id = (
-             SELECT c.id FROM (
-                 SELECT t.id, t.priority, t.run_at, j.scene_id
-                 FROM task t JOIN job j ON j.id = t.job_id
-                 WHERE t.state = 'ready' AND t.run_at <= $3 AND NOT j.paused
-                   AND (NOT t.needs_cpu OR $10)
-                   AND (NOT t.needs_gpu OR $5)
-                   AND (t.needs_adapter IS NULL OR instr($6, t.needs_adapter) > 0)
-                   AND NOT EXISTS (SELECT 1 FROM attempt a
-                                   WHERE a.task_id = t.id AND a.worker_id = $1 AND a.outcome = 'worker'
-                                     AND a.finished_at > $3 - $11)
-                   AND NOT (
-                       (EXISTS (SELECT 1 FROM worker_block b
-                                WHERE b.job_id = t.job_id AND b.worker_id = $1 AND b.blocked_until > $3)
-                        OR EXISTS (SELECT 1 FROM attempt a
-                                   WHERE a.task_id = t.id AND a.worker_id = $1 AND a.outcome = 'worker'
-                                     AND a.finished_at > $3 - $8))
-                       AND EXISTS (SELECT 1 FROM worker o
-                                   WHERE o.id <> $1 AND o.removed_at IS NULL AND NOT o.draining
-                                     AND o.last_seen_at > $3 - $12
-                                     AND (NOT t.needs_cpu OR o.has_cpu) AND (NOT t.needs_gpu OR o.has_gpu)
-                                     AND (t.needs_adapter IS NULL OR instr(o.gpu_names, t.needs_adapter) > 0)
-                                     AND NOT EXISTS (SELECT 1 FROM worker_block b
-                                                     WHERE b.job_id = t.job_id AND b.worker_id = o.id
-                                                       AND b.blocked_until > $3)))
-                 ORDER BY t.priority DESC, t.run_at, t.id LIMIT 64) c
-             ORDER BY c.priority DESC, c.run_at < $3 - $9 DESC,
-                      (SELECT COALESCE(SUM(m.triangles + m.spheres), 0)
-                       FROM scene_mesh s JOIN mesh m ON m.hash = s.mesh_hash
-                       WHERE s.scene_id = c.scene_id AND m.hash IN (SELECT value FROM json_each($7))) DESC,
-                      c.run_at, c.id
-             LIMIT 1)
-         RETURNING id",
-    )
-    .bind(&claim.worker)
-    .bind(&claim.token)
-    .bind(claim.now)
-    .bind(claim.expires_at)
-    .bind(worker.has_gpu)
-    .bind(&worker.gpu_names)
-    .bind(to_json(&claim.warm)?)
-    .bind(WORKER_PATIENCE_MS)
-    .bind(WARM_PATIENCE_MS)
-    .bind(worker.has_cpu)
-    .bind(WORKER_PAUSE_MS)
-    .bind(GONE_AFTER_MS)
-    .fetch_optional(&mut **tx)
-    .await
-    .map_err(context("claiming a task"))
 }
 
 async fn read_lease_scene(tx: &mut Tx, id: &str, name: &str) -> Result<LeaseScene> {

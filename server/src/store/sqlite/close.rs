@@ -1,20 +1,33 @@
 //! The ends of a lease: complete, fail, release, expiry. Each is guarded by the lease's token, so that a report of a
 //! superseded attempt changes nothing.
 
+use futures::TryStreamExt;
 use lightshaft_api::event::EventKind;
-use lightshaft_api::job::{AttemptOutcome, Phase};
-use lightshaft_api::lease::{Complete, Fail, RetryClass};
+use lightshaft_api::job::{AttemptOutcome, Metrics, Phase};
+use lightshaft_api::lease::{Complete, Fail, NewArtifact, RetryClass};
 use serde_json::json;
 use sqlx::FromRow;
 
 use super::events::emit;
 use super::jobs::{cancel_tasks, refresh_job};
-use super::{SqliteStore, Tx, commit, context, from_name, signed, to_json};
+use super::{SqliteStore, Tx, commit, context, from_json, from_name, signed, to_json};
 use crate::queue::{BLOCK_AFTER_FAILURES, BLOCK_MS, Expiry, Failure, Millis, Next, after_expiry, after_failure};
-use crate::store::{Close, Expired, Result};
+use crate::store::{Close, Completed, Expired, Result};
 
 /// Leases ended in one transaction, so that the reaper never holds the writer for long.
 const EXPIRE_BATCH: i64 = 100;
+
+/// The leases for which a condition holds.
+macro_rules! held {
+    ($which:literal) => {
+        concat!(
+            "SELECT a.id AS attempt, a.number, a.phase, t.id AS task, t.job_id AS job, a.worker_id AS worker, t.spent,
+                    j.max_attempts, t.cancel_requested, t.is_merge, json_extract(t.work, '$.kind') = 'frame' AS is_frame
+             FROM attempt a JOIN task t ON t.lease_token = a.token JOIN job j ON j.id = t.job_id WHERE ",
+            $which
+        )
+    };
+}
 
 #[derive(FromRow)]
 struct Held {
@@ -27,6 +40,8 @@ struct Held {
     spent: u32,
     max_attempts: u32,
     cancel_requested: bool,
+    is_merge: bool,
+    is_frame: bool,
 }
 
 enum Lookup {
@@ -35,11 +50,13 @@ enum Lookup {
 }
 
 impl SqliteStore {
-    pub(super) async fn do_complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Close> {
+    pub(super) async fn do_complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Completed> {
+        // Summing up many parts takes a while. They do not change any more, so it need not keep others from writing.
+        let parts = self.sum_of_parts(token).await?;
         let mut tx = self.begin().await?;
         let held = match look_up(&mut tx, token).await? {
             Lookup::Held(held) => held,
-            Lookup::Ended(close) => return Ok(close),
+            Lookup::Ended(close) => return Ok(Completed { close, freed: Vec::new() }),
         };
         for artifact in &report.artifacts {
             sqlx::query(
@@ -57,12 +74,8 @@ impl SqliteStore {
             .await
             .map_err(context("adding an artifact"))?;
         }
-        sqlx::query("UPDATE attempt SET metrics = $2 WHERE id = $1")
-            .bind(&held.attempt)
-            .bind(to_json(&report.metrics)?)
-            .execute(&mut *tx)
-            .await
-            .map_err(context("keeping metrics"))?;
+        keep_metrics(&mut tx, &held, parts, &report.metrics).await?;
+        let freed = if held.is_merge { drop_parts(&mut tx, &held.job).await? } else { Vec::new() };
         end_attempt(&mut tx, &held.attempt, AttemptOutcome::Succeeded, None, now).await?;
         sqlx::query(
             "UPDATE task SET state = 'succeeded', progress = 1, spent = spent + 1, lease_token = NULL,
@@ -90,7 +103,24 @@ impl SqliteStore {
         emit(&mut tx, now, &held.job, EventKind::TaskSucceeded, data).await?;
         refresh_job(&mut tx, &held.job, now).await?;
         commit(tx).await?;
-        Ok(Close::Closed(AttemptOutcome::Succeeded))
+        Ok(Completed { close: Close::Closed(AttemptOutcome::Succeeded), freed })
+    }
+
+    /// What the parts measured that this lease's task merges; nothing when it is no merge.
+    async fn sum_of_parts(&self, token: &str) -> Result<Metrics> {
+        let mut rows = sqlx::query_scalar::<_, String>(
+            "SELECT p.metrics FROM attempt a JOIN task m ON m.id = a.task_id AND m.is_merge
+             JOIN task t ON t.job_id = m.job_id JOIN attempt p ON p.task_id = t.id
+             WHERE a.token = $1 AND NOT t.is_merge AND p.outcome = 'succeeded' AND p.metrics IS NOT NULL
+             ORDER BY t.position",
+        )
+        .bind(token)
+        .fetch(&self.readers);
+        let mut sum = Metrics::default();
+        while let Some(row) = rows.try_next().await.map_err(context("reading metrics"))? {
+            sum.add(&from_json(&row)?);
+        }
+        Ok(sum)
     }
 
     pub(super) async fn do_fail(&self, token: &str, report: &Fail, jitter: f64, now: Millis) -> Result<Close> {
@@ -138,18 +168,15 @@ impl SqliteStore {
 
     pub(super) async fn do_expire_leases(&self, now: Millis) -> Result<Vec<Expired>> {
         let mut tx = self.begin().await?;
-        let held: Vec<Held> = sqlx::query_as(
-            "SELECT a.id AS attempt, a.number, a.phase, t.id AS task, t.job_id AS job, a.worker_id AS worker, t.spent,
-                    j.max_attempts, t.cancel_requested
-             FROM task t JOIN attempt a ON a.token = t.lease_token JOIN job j ON j.id = t.job_id
-             WHERE t.state = 'leased' AND t.lease_expires_at <= $1 ORDER BY t.lease_expires_at LIMIT $2",
-        )
+        let held: Vec<Held> = sqlx::query_as(held!(
+            "t.state = 'leased' AND t.lease_expires_at <= $1 ORDER BY t.lease_expires_at LIMIT $2"
+        ))
         .bind(now)
         .bind(EXPIRE_BATCH)
         .fetch_all(&mut *tx)
         .await
         .map_err(context("looking for expired leases"))?;
-        let expired = expire(&mut tx, held, now).await?;
+        let expired = expire(&mut tx, held, "no heartbeat within the lease's time to live", now).await?;
         commit(tx).await?;
         Ok(expired)
     }
@@ -157,25 +184,19 @@ impl SqliteStore {
 
 /// Ends everything that a worker still holds: it has registered anew, and knows nothing of it.
 pub(super) async fn expire_worker(tx: &mut Tx, worker: &str, now: Millis) -> Result<Vec<Expired>> {
-    let held: Vec<Held> = sqlx::query_as(
-        "SELECT a.id AS attempt, a.number, a.phase, t.id AS task, t.job_id AS job, a.worker_id AS worker, t.spent,
-                j.max_attempts, t.cancel_requested
-         FROM attempt a JOIN task t ON t.lease_token = a.token JOIN job j ON j.id = t.job_id
-         WHERE a.worker_id = $1 AND a.outcome = 'running'",
-    )
-    .bind(worker)
-    .fetch_all(&mut **tx)
-    .await
-    .map_err(context("looking for a worker's leases"))?;
-    expire(tx, held, now).await
+    let held: Vec<Held> = sqlx::query_as(held!("a.worker_id = $1 AND a.outcome = 'running'"))
+        .bind(worker)
+        .fetch_all(&mut **tx)
+        .await
+        .map_err(context("looking for a worker's leases"))?;
+    expire(tx, held, "it has started anew", now).await
 }
 
-async fn expire(tx: &mut Tx, all: Vec<Held>, now: Millis) -> Result<Vec<Expired>> {
+async fn expire(tx: &mut Tx, all: Vec<Held>, why: &str, now: Millis) -> Result<Vec<Expired>> {
     let mut expired = Vec::with_capacity(all.len());
     for held in all {
         let phase_before: Option<String> = sqlx::query_scalar(
-            "SELECT phase FROM attempt WHERE task_id = $1 AND number < $2 AND outcome = 'expired'
-             ORDER BY number DESC LIMIT 1",
+            "SELECT phase FROM attempt WHERE task_id = $1 AND number = $2 - 1 AND outcome = 'expired'",
         )
         .bind(&held.task)
         .bind(held.number)
@@ -193,12 +214,53 @@ async fn expire(tx: &mut Tx, all: Vec<Held>, now: Millis) -> Result<Vec<Expired>
             now,
         });
         let phase = held.phase.as_deref().unwrap_or("the beginning");
-        let error = format!("the worker was lost at {phase}: no heartbeat within the lease's time to live");
+        let error = format!("the worker was lost at {phase}: {why}");
         settle(tx, &held, AttemptOutcome::Expired, next, Some(&error), now).await?;
         let again = matches!(next, Next::Ready { .. });
-        expired.push(Expired { job: held.job, task: held.task, worker: held.worker, again });
+        expired.push(Expired { job: held.job, task: held.task, attempt: held.attempt, worker: held.worker, again });
     }
     Ok(expired)
+}
+
+/// A part's are kept until they are summed up; those of a whole picture are the job's.
+async fn keep_metrics(tx: &mut Tx, held: &Held, mut parts: Metrics, own: &Metrics) -> Result<()> {
+    if !held.is_merge && !held.is_frame {
+        sqlx::query("UPDATE attempt SET metrics = $2 WHERE id = $1")
+            .bind(&held.attempt)
+            .bind(to_json(own)?)
+            .execute(&mut **tx)
+            .await
+            .map_err(context("keeping metrics"))?;
+        return Ok(());
+    }
+    let of_job = if held.is_merge {
+        parts.add(own);
+        &parts
+    } else {
+        own
+    };
+    sqlx::query("UPDATE job SET metrics = $2 WHERE id = $1")
+        .bind(&held.job)
+        .bind(to_json(of_job)?)
+        .execute(&mut **tx)
+        .await
+        .map_err(context("keeping a job's metrics"))?;
+    Ok(())
+}
+
+/// Once they are merged, nobody needs the parts of a picture nor what each measured; returns their blobs.
+async fn drop_parts(tx: &mut Tx, job: &str) -> Result<Vec<String>> {
+    sqlx::query("UPDATE attempt SET metrics = NULL WHERE job_id = $1")
+        .bind(job)
+        .execute(&mut **tx)
+        .await
+        .map_err(context("dropping the parts' metrics"))?;
+    sqlx::query_scalar("DELETE FROM artifact WHERE job_id = $1 AND name = $2 RETURNING blob")
+        .bind(job)
+        .bind(NewArtifact::PART)
+        .fetch_all(&mut **tx)
+        .await
+        .map_err(context("dropping the parts"))
 }
 
 async fn look_up(tx: &mut Tx, token: &str) -> Result<Lookup> {
@@ -212,15 +274,11 @@ async fn look_up(tx: &mut Tx, token: &str) -> Result<Lookup> {
     if outcome != AttemptOutcome::Running {
         return Ok(Lookup::Ended(Close::Already(outcome)));
     }
-    let held: Held = sqlx::query_as(
-        "SELECT a.id AS attempt, a.number, a.phase, t.id AS task, t.job_id AS job, a.worker_id AS worker, t.spent,
-                j.max_attempts, t.cancel_requested
-         FROM attempt a JOIN task t ON t.lease_token = a.token JOIN job j ON j.id = t.job_id WHERE a.token = $1",
-    )
-    .bind(token)
-    .fetch_one(&mut **tx)
-    .await
-    .map_err(context("reading a lease"))?;
+    let held: Held = sqlx::query_as(held!("a.token = $1"))
+        .bind(token)
+        .fetch_one(&mut **tx)
+        .await
+        .map_err(context("reading a lease"))?;
     Ok(Lookup::Held(held))
 }
 

@@ -13,8 +13,7 @@ impl SqliteStore {
     pub(super) async fn read_demanding_jobs(&self) -> Result<Vec<Demanding>> {
         let rows: Vec<(String, bool, bool, Option<String>, i64)> = sqlx::query_as(
             "SELECT t.job_id, t.needs_cpu, t.needs_gpu, t.needs_adapter, MIN(t.run_at)
-             FROM task t JOIN job j ON j.id = t.job_id
-             WHERE t.state = 'ready' AND (t.needs_cpu OR t.needs_gpu) AND NOT j.paused
+             FROM task t WHERE t.demand > 0 AND t.state = 'ready' AND t.paused = 0
              GROUP BY t.job_id, t.needs_cpu, t.needs_gpu, t.needs_adapter ORDER BY t.job_id",
         )
         .fetch_all(&self.readers)

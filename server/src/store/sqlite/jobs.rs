@@ -1,14 +1,14 @@
 //! Changes of whole jobs, and the derivation of a job's state from its tasks.
 
 use lightshaft_api::event::EventKind;
-use lightshaft_api::job::{JobState, Metrics, TaskWork};
+use lightshaft_api::job::{JobState, TaskWork};
 use lightshaft_api::settings::Environment;
 use serde_json::json;
-use sqlx::FromRow;
+use sqlx::{FromRow, SqliteExecutor};
 use uuid::Uuid;
 
 use super::events::emit;
-use super::{SqliteStore, Tx, commit, context, from_json, from_name, signed, to_json};
+use super::{SqliteStore, Tx, commit, context, from_name, signed, to_json};
 use crate::queue::{Demand, Millis, TaskCounts, job_state};
 use crate::store::{Change, Creation, Idempotency, JobRecord, Result};
 
@@ -42,6 +42,14 @@ impl SqliteStore {
         }
         insert_job(&mut tx, job, now).await?;
         insert_tasks(&mut tx, job, now).await?;
+        if job.automatic {
+            sqlx::query("UPDATE scene SET thumbnail_job = $2 WHERE id = $1")
+                .bind(&job.scene)
+                .bind(&job.id)
+                .execute(&mut *tx)
+                .await
+                .map_err(context("noting a scene's thumbnail"))?;
+        }
         if let Some(idempotency) = idempotency {
             sqlx::query(
                 "INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES ($1, $2, $3, $4)
@@ -68,7 +76,7 @@ impl SqliteStore {
 
     pub(super) async fn do_cancel_job(&self, id: &str, now: Millis) -> Result<Change> {
         let mut tx = self.begin().await?;
-        let Some(state) = read_state(&mut tx, id).await? else { return Ok(Change::Unknown) };
+        let Some(state) = read_state(&mut *tx, id).await? else { return Ok(Change::Unknown) };
         match state {
             JobState::Cancelled => return Ok(Change::Done),
             JobState::Succeeded | JobState::Failed => return Ok(Change::Refused(state)),
@@ -88,7 +96,7 @@ impl SqliteStore {
 
     pub(super) async fn do_retry_job(&self, id: &str, now: Millis) -> Result<Change> {
         let mut tx = self.begin().await?;
-        let Some(state) = read_state(&mut tx, id).await? else { return Ok(Change::Unknown) };
+        let Some(state) = read_state(&mut *tx, id).await? else { return Ok(Change::Unknown) };
         if !matches!(state, JobState::Failed | JobState::Cancelled) {
             return Ok(Change::Refused(state));
         }
@@ -103,7 +111,8 @@ impl SqliteStore {
             return Ok(Change::SceneGone);
         }
         sqlx::query(
-            "UPDATE task SET state = 'ready', spent = 0, progress = 0, cancel_requested = 0, error = NULL, run_at = $2
+            "UPDATE task SET state = 'ready', spent = 0, progress = 0, cancel_requested = 0, paused = 0, error = NULL,
+                             run_at = $2
              WHERE job_id = $1 AND state IN ('failed', 'dead', 'cancelled')",
         )
         .bind(id)
@@ -125,7 +134,7 @@ impl SqliteStore {
             .await
             .map_err(context("forgetting blocked workers"))?;
         sqlx::query(
-            "UPDATE job SET cancel_requested = 0, paused = 0, error = NULL, metrics = NULL, finished_at = NULL
+            "UPDATE job SET cancel_requested = 0, paused = 0, error = NULL, finished_at = NULL
              WHERE id = $1",
         )
         .bind(id)
@@ -146,7 +155,7 @@ impl SqliteStore {
         now: Millis,
     ) -> Result<Change> {
         let mut tx = self.begin().await?;
-        let Some(state) = read_state(&mut tx, id).await? else { return Ok(Change::Unknown) };
+        let Some(state) = read_state(&mut *tx, id).await? else { return Ok(Change::Unknown) };
         if state.is_final() {
             return Ok(Change::Refused(state));
         }
@@ -157,14 +166,15 @@ impl SqliteStore {
             .execute(&mut *tx)
             .await
             .map_err(context("changing a job"))?;
-        if let Some(priority) = priority {
-            sqlx::query("UPDATE task SET priority = $2 WHERE job_id = $1")
-                .bind(id)
-                .bind(priority)
-                .execute(&mut *tx)
-                .await
-                .map_err(context("changing tasks' priority"))?;
-        }
+        sqlx::query(
+            "UPDATE task SET priority = COALESCE($2, priority), paused = COALESCE($3, paused) WHERE job_id = $1",
+        )
+        .bind(id)
+        .bind(priority)
+        .bind(paused)
+        .execute(&mut *tx)
+        .await
+        .map_err(context("changing a job's tasks"))?;
         emit(&mut tx, now, id, EventKind::JobChanged, json!({ "priority": priority, "paused": paused })).await?;
         commit(tx).await?;
         Ok(Change::Done)
@@ -248,10 +258,10 @@ async fn insert_tasks(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
     Ok(())
 }
 
-async fn read_state(tx: &mut Tx, job: &str) -> Result<Option<JobState>> {
+pub(super) async fn read_state(db: impl SqliteExecutor<'_>, job: &str) -> Result<Option<JobState>> {
     let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = $1")
         .bind(job)
-        .fetch_optional(&mut **tx)
+        .fetch_optional(db)
         .await
         .map_err(context("reading a job's state"))?;
     state.map(|name| from_name(&name)).transpose()
@@ -284,18 +294,16 @@ pub(super) async fn refresh_job(tx: &mut Tx, job: &str, now: Millis) -> Result<J
         return Ok(state);
     }
     let error = if state == JobState::Failed { last_error(tx, job).await? } else { None };
-    let metrics = if state == JobState::Succeeded { sum_metrics(tx, job).await? } else { None };
     let starts = state == JobState::Running && old.started_at.is_none();
     sqlx::query(
-        "UPDATE job SET state = $2, error = $3, metrics = $4,
-                        started_at = CASE WHEN $5 THEN $7 ELSE started_at END,
-                        finished_at = CASE WHEN $6 THEN $7 END
+        "UPDATE job SET state = $2, error = $3,
+                        started_at = CASE WHEN $4 THEN $6 ELSE started_at END,
+                        finished_at = CASE WHEN $5 THEN $6 END
          WHERE id = $1",
     )
     .bind(job)
     .bind(state.as_str())
     .bind(&error)
-    .bind(&metrics)
     .bind(starts)
     .bind(state.is_final())
     .bind(now)
@@ -351,24 +359,4 @@ async fn last_error(tx: &mut Tx, job: &str) -> Result<Option<String>> {
     .await
     .map(Option::flatten)
     .map_err(context("reading why a job failed"))
-}
-
-async fn sum_metrics(tx: &mut Tx, job: &str) -> Result<Option<String>> {
-    let rows: Vec<String> = sqlx::query_scalar(
-        "SELECT a.metrics FROM attempt a JOIN task t ON t.id = a.task_id
-         WHERE a.job_id = $1 AND a.outcome = 'succeeded' AND a.metrics IS NOT NULL ORDER BY t.position",
-    )
-    .bind(job)
-    .fetch_all(&mut **tx)
-    .await
-    .map_err(context("reading metrics"))?;
-    let mut sum: Option<Metrics> = None;
-    for row in rows {
-        let metrics: Metrics = from_json(&row)?;
-        match &mut sum {
-            Some(sum) => sum.add(&metrics),
-            None => sum = Some(metrics),
-        }
-    }
-    sum.as_ref().map(to_json).transpose()
 }

@@ -116,7 +116,8 @@ impl SqliteStore {
         }
         sqlx::query(
             "INSERT INTO structure (mesh_hash, kind, parameters, builder_version, bytes, build_s, blob, created_at)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8) ON CONFLICT DO NOTHING",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
+             ON CONFLICT DO UPDATE SET bytes = $5, build_s = $6, blob = $7, created_at = $8 WHERE blob = $9",
         )
         .bind(mesh)
         .bind(&structure.kind)
@@ -126,6 +127,7 @@ impl SqliteStore {
         .bind(structure.build_s)
         .bind(&structure.blob)
         .bind(now)
+        .bind(&structure.replaces)
         .execute(&mut *tx)
         .await
         .map_err(context("adding a structure"))?;

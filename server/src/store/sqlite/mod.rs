@@ -10,7 +10,9 @@ mod demand;
 mod events;
 mod jobs;
 mod meshes;
+mod offers;
 mod read;
+mod removal;
 mod scenes;
 mod workers;
 
@@ -21,7 +23,7 @@ use std::time::Duration;
 use async_trait::async_trait;
 use jiff::Timestamp;
 use lightshaft_api::event::Event;
-use lightshaft_api::job::{Artifact, Attempt, Job, Phase, Task};
+use lightshaft_api::job::{Artifact, Attempt, Job, JobState, Phase, Task};
 use lightshaft_api::lease::{Complete, Fail};
 use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::scene::Scene;
@@ -32,8 +34,9 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePo
 use sqlx::{Sqlite, Transaction};
 
 use super::{
-    Change, Claim, Claimed, Close, Creation, Demanding, Expired, Idempotency, JobQuery, JobRecord, LeaseState,
-    ListedJob, PageRequest, Removal, Result, SceneRecord, Store, StoreError, TaskProgress, Totals,
+    Change, Claim, Claimed, Close, Completed, Creation, Demanding, Expired, Idempotency, JobQuery, JobRecord,
+    JobRemoval, LeaseState, ListedJob, PageRequest, Removal, Result, SceneRecord, Store, StoreError, TaskProgress,
+    Totals,
 };
 use crate::queue::Millis;
 
@@ -171,8 +174,8 @@ impl Store for SqliteStore {
         self.read_scene_blobs(id).await
     }
 
-    async fn set_thumbnail_job(&self, scene: &str, job: &str) -> Result<()> {
-        self.do_set_thumbnail_job(scene, job).await
+    async fn scenes_without_thumbnail(&self, limit: u32) -> Result<Vec<Scene>> {
+        self.read_scenes_without_thumbnail(limit).await
     }
 
     async fn thumbnail_job(&self, scene: &str) -> Result<Option<String>> {
@@ -215,6 +218,10 @@ impl Store for SqliteStore {
         self.read_job(id).await
     }
 
+    async fn job_state(&self, id: &str) -> Result<Option<JobState>> {
+        self.read_job_state(id).await
+    }
+
     async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>> {
         self.read_jobs(query, page).await
     }
@@ -251,6 +258,14 @@ impl Store for SqliteStore {
         self.do_give_up_job(id, error, now).await
     }
 
+    async fn delete_job(&self, id: &str, now: Millis) -> Result<JobRemoval> {
+        self.do_delete_job(id, now).await
+    }
+
+    async fn jobs_finished_before(&self, before: Millis, limit: u32) -> Result<Vec<String>> {
+        self.read_jobs_finished_before(before, limit).await
+    }
+
     async fn patch_job(&self, id: &str, priority: Option<i32>, paused: Option<bool>, now: Millis) -> Result<Change> {
         self.do_patch_job(id, priority, paused, now).await
     }
@@ -279,8 +294,8 @@ impl Store for SqliteStore {
         self.do_remove_worker(id, now).await
     }
 
-    async fn has_ready_task(&self, now: Millis) -> Result<bool> {
-        self.read_has_ready_task(now).await
+    async fn has_task_for(&self, worker: &str, now: Millis) -> Result<Option<bool>> {
+        self.read_has_task_for(worker, now).await
     }
 
     async fn claim(&self, claim: &Claim) -> Result<Claimed> {
@@ -291,15 +306,15 @@ impl Store for SqliteStore {
         self.read_lease(token).await
     }
 
-    async fn renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis, now: Millis) -> Result<bool> {
-        self.do_renew(token, phase, progress, expires_at, now).await
+    async fn renew(&self, token: &str, phase: Phase, progress: f64, expires_at: Millis) -> Result<bool> {
+        self.do_renew(token, phase, progress, expires_at).await
     }
 
     async fn note_progress(&self, token: &str, progress: f64) -> Result<()> {
         self.do_note_progress(token, progress).await
     }
 
-    async fn complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Close> {
+    async fn complete(&self, token: &str, report: &Complete, now: Millis) -> Result<Completed> {
         self.do_complete(token, report, now).await
     }
 

@@ -2,15 +2,25 @@
 
 use std::collections::BTreeMap;
 
-use lightshaft_api::job::{Artifact, Attempt, Job, JobSummary, Task};
+use lightshaft_api::job::{Artifact, Attempt, Job, JobState, JobSummary, Task};
 use lightshaft_api::lease::NewArtifact;
 use lightshaft_api::status::StateCounts;
-use sqlx::FromRow;
+use sqlx::{FromRow, QueryBuilder, Sqlite};
 
-use super::jobs::counts;
-use super::{SqliteStore, context, from_json, from_name, timestamp, to_json};
-use crate::queue::Millis;
+use super::jobs::{counts, read_state};
+use super::{SqliteStore, context, from_json, from_name, timestamp};
 use crate::store::{JobQuery, ListedJob, PageRequest, Result, TaskProgress, Totals};
+
+/// A line of the list of jobs for every row of `page`, which names ids.
+const LISTED: &str = "
+    SELECT j.id, j.kind, j.scene_id, s.name AS scene_name, j.state, j.paused, j.cancel_requested, j.priority, j.error,
+           j.trace_id, j.created_at, j.started_at, j.finished_at,
+           (SELECT json_group_object(l.key, l.value) FROM job_label l WHERE l.job_id = j.id) AS labels,
+           COUNT(t.id) AS tasks_total, COALESCE(SUM(t.state = 'succeeded'), 0) AS tasks_done,
+           COALESCE(SUM(t.progress) FILTER (WHERE t.state <> 'leased'), 0.0) AS settled,
+           json_group_object(t.id, t.progress) FILTER (WHERE t.state = 'leased') AS leased
+    FROM page JOIN job j ON j.id = page.id JOIN scene s ON s.id = j.scene_id LEFT JOIN task t ON t.job_id = j.id
+    GROUP BY j.id ORDER BY j.id DESC";
 
 #[derive(FromRow)]
 struct JobRow {
@@ -22,10 +32,7 @@ struct JobRow {
     paused: bool,
     cancel_requested: bool,
     priority: i32,
-    max_attempts: u32,
-    settings: String,
     error: Option<String>,
-    metrics: Option<String>,
     trace_id: String,
     created_at: i64,
     started_at: Option<i64>,
@@ -35,6 +42,14 @@ struct JobRow {
     tasks_done: u32,
     settled: f64,
     leased: Option<String>,
+}
+
+/// What only a whole job has.
+#[derive(FromRow)]
+struct WholeRow {
+    max_attempts: u32,
+    settings: String,
+    metrics: Option<String>,
 }
 
 #[derive(FromRow)]
@@ -142,66 +157,39 @@ impl SqliteStore {
     }
 
     pub(super) async fn read_job(&self, id: &str) -> Result<Option<Job>> {
-        let row: Option<JobRow> = sqlx::query_as(
-            "SELECT j.*, s.name AS scene_name,
-                    (SELECT json_group_object(l.key, l.value) FROM job_label l WHERE l.job_id = j.id) AS labels,
-                    COUNT(t.id) AS tasks_total, COALESCE(SUM(t.state = 'succeeded'), 0) AS tasks_done,
-                    COALESCE(SUM(t.progress) FILTER (WHERE t.state <> 'leased'), 0.0) AS settled,
-                    json_group_object(t.id, t.progress) FILTER (WHERE t.state = 'leased') AS leased
-             FROM job j JOIN scene s ON s.id = j.scene_id LEFT JOIN task t ON t.job_id = j.id
-             WHERE j.id = $1 GROUP BY j.id",
-        )
-        .bind(id)
-        .fetch_optional(&self.readers)
-        .await
-        .map_err(context("reading a job"))?;
-        let Some(mut row) = row else { return Ok(None) };
-        let metrics = row.metrics.take().map(|text| from_json(&text)).transpose()?;
-        let settings = from_json(&row.settings)?;
+        let mut page = QueryBuilder::new("WITH page AS (SELECT id FROM job WHERE id = ");
+        page.push_bind(id).push(")").push(LISTED);
+        let listed: Option<JobRow> =
+            page.build_query_as().fetch_optional(&self.readers).await.map_err(context("reading a job"))?;
+        let whole: Option<WholeRow> = sqlx::query_as("SELECT max_attempts, settings, metrics FROM job WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.readers)
+            .await
+            .map_err(context("reading a job"))?;
+        let Some((listed, whole)) = listed.zip(whole) else { return Ok(None) };
         Ok(Some(Job {
-            max_attempts: row.max_attempts,
-            settings,
-            metrics,
+            max_attempts: whole.max_attempts,
+            settings: from_json(&whole.settings)?,
+            metrics: whole.metrics.map(|text| from_json(&text)).transpose()?,
             tasks: self.read_tasks(id).await?,
             attempts: self.read_attempts(id).await?,
             artifacts: self.read_artifacts(id).await?,
             waiting: None,
             preview: None,
-            summary: row.into_listed()?.summary,
+            summary: listed.into_listed()?.summary,
         }))
     }
 
+    pub(super) async fn read_job_state(&self, id: &str) -> Result<Option<JobState>> {
+        read_state(&self.readers, id).await
+    }
+
     pub(super) async fn read_jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>> {
-        let rows: Vec<JobRow> = sqlx::query_as(
-            "SELECT j.*, s.name AS scene_name,
-                    (SELECT json_group_object(l.key, l.value) FROM job_label l WHERE l.job_id = j.id) AS labels,
-                    COUNT(t.id) AS tasks_total, COALESCE(SUM(t.state = 'succeeded'), 0) AS tasks_done,
-                    COALESCE(SUM(t.progress) FILTER (WHERE t.state <> 'leased'), 0.0) AS settled,
-                    json_group_object(t.id, t.progress) FILTER (WHERE t.state = 'leased') AS leased
-             FROM (SELECT j.* FROM job j JOIN scene s ON s.id = j.scene_id
-                   WHERE ($1 IS NULL OR j.id < $1)
-                     AND ($3 IS NULL OR j.state = $3)
-                     AND ($4 IS NULL OR j.scene_id = $4)
-                     AND ($5 IS NULL OR j.automatic = $5)
-                     AND NOT EXISTS (SELECT 1 FROM json_each($6) wanted WHERE NOT EXISTS
-                             (SELECT 1 FROM job_label l
-                              WHERE l.job_id = j.id AND l.key = wanted.key AND l.value = wanted.value))
-                     AND ($7 IS NULL OR substr(j.id, 1, length($7)) = $7 OR instr(lower(s.name), $7) > 0
-                          OR EXISTS (SELECT 1 FROM job_label l WHERE l.job_id = j.id AND instr(lower(l.value), $7) > 0))
-                   ORDER BY j.id DESC LIMIT $2) j
-             JOIN scene s ON s.id = j.scene_id LEFT JOIN task t ON t.job_id = j.id
-             GROUP BY j.id ORDER BY j.id DESC",
-        )
-        .bind(&page.after)
-        .bind(page.limit)
-        .bind(query.state.map(|state| state.as_str()))
-        .bind(&query.scene)
-        .bind(query.automatic)
-        .bind(to_json(&query.labels)?)
-        .bind(query.text.as_ref().map(|text| text.to_lowercase()))
-        .fetch_all(&self.readers)
-        .await
-        .map_err(context("reading jobs"))?;
+        let mut statement = QueryBuilder::new("WITH page AS (");
+        push_page(&mut statement, query, page);
+        statement.push(")").push(LISTED);
+        let rows: Vec<JobRow> =
+            statement.build_query_as().fetch_all(&self.readers).await.map_err(context("reading jobs"))?;
         rows.into_iter().map(JobRow::into_listed).collect()
     }
 
@@ -293,12 +281,61 @@ impl SqliteStore {
             })
             .collect())
     }
+}
 
-    pub(super) async fn read_has_ready_task(&self, now: Millis) -> Result<bool> {
-        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM task WHERE state = 'ready' AND run_at <= $1)")
-            .bind(now)
-            .fetch_one(&self.readers)
-            .await
-            .map_err(context("looking for work"))
+/// The ids of a page of jobs. Only conditions that are asked for are written down, so that each finds its index.
+fn push_page(statement: &mut QueryBuilder<Sqlite>, query: &JobQuery, page: &PageRequest) {
+    statement.push("SELECT j.id FROM job j WHERE TRUE");
+    if let Some(after) = &page.after {
+        statement.push(" AND j.id < ").push_bind(after.clone());
+    }
+    if let Some(state) = query.state {
+        statement.push(" AND j.state = ").push_bind(state.as_str());
+    }
+    if let Some(scene) = &query.scene {
+        statement.push(" AND j.scene_id = ").push_bind(scene.clone());
+    }
+    if let Some(automatic) = query.automatic {
+        statement.push(" AND j.automatic = ").push_bind(automatic);
+    }
+    for (key, value) in &query.labels {
+        statement.push(" AND j.id IN (SELECT job_id FROM job_label WHERE key = ").push_bind(key.clone());
+        statement.push(" AND value = ").push_bind(value.clone()).push(")");
+    }
+    if let Some(text) = query.text.as_ref().map(|text| text.to_lowercase()) {
+        statement.push(" AND (substr(j.id, 1, length(").push_bind(text.clone()).push(")) = ").push_bind(text.clone());
+        statement.push(" OR EXISTS (SELECT 1 FROM scene s WHERE s.id = j.scene_id AND instr(lower(s.name), ");
+        statement.push_bind(text.clone()).push(") > 0)");
+        statement.push(" OR EXISTS (SELECT 1 FROM job_label l WHERE l.job_id = j.id AND instr(lower(l.value), ");
+        statement.push_bind(text).push(") > 0))");
+    }
+    statement.push(" ORDER BY j.id DESC LIMIT ").push_bind(page.limit);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn filtered_lists_of_jobs_find_their_index() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = SqliteStore::open(&dir.path().join("test.db")).await.unwrap();
+        let plan = async |query: JobQuery, after: Option<&str>| {
+            let mut statement = QueryBuilder::new("EXPLAIN QUERY PLAN ");
+            push_page(&mut statement, &query, &PageRequest { limit: 50, after: after.map(str::to_owned) });
+            let rows: Vec<(i64, i64, i64, String)> =
+                statement.build_query_as().fetch_all(&store.readers).await.unwrap();
+            rows.into_iter().map(|row| row.3 + "\n").collect::<String>()
+        };
+        let state = JobQuery { state: Some(JobState::Queued), ..JobQuery::default() };
+        let of_state = plan(state.clone(), None).await;
+        assert!(of_state.contains("INDEX job_state (state=?)") && !of_state.contains("TEMP B-TREE"), "{of_state}");
+        let next_page = plan(state, Some("x")).await;
+        assert!(next_page.contains("INDEX job_state (state=? AND id<?)"), "{next_page}");
+        let scene = plan(JobQuery { scene: Some("s".to_owned()), ..JobQuery::default() }, None).await;
+        assert!(scene.contains("INDEX job_scene (scene_id=?)") && !scene.contains("TEMP B-TREE"), "{scene}");
+        let labels = BTreeMap::from([("nightly".to_owned(), "yes".to_owned())]);
+        let label = plan(JobQuery { labels, ..JobQuery::default() }, None).await;
+        assert!(label.contains("INDEX job_label_value (key=? AND value=?)") && !label.contains("SCAN j"), "{label}");
     }
 }

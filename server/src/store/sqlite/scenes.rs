@@ -8,6 +8,18 @@ use super::{SqliteStore, commit, context, from_json, signed, timestamp, to_json}
 use crate::queue::Millis;
 use crate::store::{PageRequest, Removal, Result, SceneRecord};
 
+/// The scenes that are there and for which a condition holds.
+macro_rules! scenes {
+    ($which:literal) => {
+        concat!(
+            "SELECT s.id, s.hash, s.name, s.bytes, s.summary, s.created_at,
+                    EXISTS (SELECT 1 FROM job j WHERE j.id = s.thumbnail_job AND j.state = 'succeeded') AS has_thumbnail
+             FROM scene s WHERE s.deleted_at IS NULL AND ",
+            $which
+        )
+    };
+}
+
 #[derive(FromRow)]
 struct SceneRow {
     id: String,
@@ -85,42 +97,30 @@ impl SqliteStore {
     }
 
     pub(super) async fn read_scene(&self, id: &str) -> Result<Option<Scene>> {
-        let row: Option<SceneRow> = sqlx::query_as(
-            "SELECT s.id, s.hash, s.name, s.bytes, s.summary, s.created_at,
-                    EXISTS (SELECT 1 FROM job j WHERE j.id = s.thumbnail_job AND j.state = 'succeeded') AS has_thumbnail
-             FROM scene s WHERE s.id = $1 AND s.deleted_at IS NULL",
-        )
-        .bind(id)
-        .fetch_optional(&self.readers)
-        .await
-        .map_err(context("reading a scene"))?;
+        let row: Option<SceneRow> = sqlx::query_as(scenes!("s.id = $1"))
+            .bind(id)
+            .fetch_optional(&self.readers)
+            .await
+            .map_err(context("reading a scene"))?;
         row.map(SceneRow::into_scene).transpose()
     }
 
     pub(super) async fn read_scene_by_hash(&self, hash: &str) -> Result<Option<Scene>> {
-        let row: Option<SceneRow> = sqlx::query_as(
-            "SELECT s.id, s.hash, s.name, s.bytes, s.summary, s.created_at,
-                    EXISTS (SELECT 1 FROM job j WHERE j.id = s.thumbnail_job AND j.state = 'succeeded') AS has_thumbnail
-             FROM scene s WHERE s.hash = $1 AND s.deleted_at IS NULL",
-        )
-        .bind(hash)
-        .fetch_optional(&self.readers)
-        .await
-        .map_err(context("reading a scene"))?;
+        let row: Option<SceneRow> = sqlx::query_as(scenes!("s.hash = $1"))
+            .bind(hash)
+            .fetch_optional(&self.readers)
+            .await
+            .map_err(context("reading a scene"))?;
         row.map(SceneRow::into_scene).transpose()
     }
 
     pub(super) async fn read_scenes(&self, page: &PageRequest) -> Result<Vec<Scene>> {
-        let rows: Vec<SceneRow> = sqlx::query_as(
-            "SELECT s.id, s.hash, s.name, s.bytes, s.summary, s.created_at,
-                    EXISTS (SELECT 1 FROM job j WHERE j.id = s.thumbnail_job AND j.state = 'succeeded') AS has_thumbnail
-             FROM scene s WHERE s.deleted_at IS NULL AND ($1 IS NULL OR s.id < $1) ORDER BY s.id DESC LIMIT $2",
-        )
-        .bind(&page.after)
-        .bind(page.limit)
-        .fetch_all(&self.readers)
-        .await
-        .map_err(context("reading scenes"))?;
+        let rows: Vec<SceneRow> = sqlx::query_as(scenes!("($1 IS NULL OR s.id < $1) ORDER BY s.id DESC LIMIT $2"))
+            .bind(&page.after)
+            .bind(page.limit)
+            .fetch_all(&self.readers)
+            .await
+            .map_err(context("reading scenes"))?;
         rows.into_iter().map(SceneRow::into_scene).collect()
     }
 
@@ -132,14 +132,15 @@ impl SqliteStore {
             .map_err(context("reading a scene's files"))
     }
 
-    pub(super) async fn do_set_thumbnail_job(&self, scene: &str, job: &str) -> Result<()> {
-        sqlx::query("UPDATE scene SET thumbnail_job = $2 WHERE id = $1")
-            .bind(scene)
-            .bind(job)
-            .execute(&self.writer)
-            .await
-            .map_err(context("noting a scene's thumbnail"))?;
-        Ok(())
+    pub(super) async fn read_scenes_without_thumbnail(&self, limit: u32) -> Result<Vec<Scene>> {
+        let rows: Vec<SceneRow> = sqlx::query_as(scenes!(
+            "s.thumbnail_job IS NULL AND json_extract(s.summary, '$.instances') > 0 ORDER BY s.id LIMIT $1"
+        ))
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await
+        .map_err(context("looking for scenes without a thumbnail"))?;
+        rows.into_iter().map(SceneRow::into_scene).collect()
     }
 
     pub(super) async fn read_thumbnail_job(&self, scene: &str) -> Result<Option<String>> {
