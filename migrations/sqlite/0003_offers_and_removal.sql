@@ -1,8 +1,10 @@
 -- Ready tasks by what they demand, without those of paused jobs: a claim looks at the first few of each kind that its
 -- worker can do, and at nothing else.
 
-ALTER TABLE task ADD COLUMN paused INTEGER NOT NULL DEFAULT 0; -- the job's, for the index below
-ALTER TABLE task ADD COLUMN demand INTEGER                     -- any worker, one with a CPU, one with a GPU
+-- `paused` is the job's, for the index below; `demand`: any worker, one with a CPU, one with a GPU. (No comment may stand
+-- within ADD COLUMN: SQLite keeps its text as the column's type.)
+ALTER TABLE task ADD COLUMN paused INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE task ADD COLUMN demand INTEGER
     GENERATED ALWAYS AS (CASE WHEN needs_gpu THEN 2 WHEN needs_cpu THEN 1 ELSE 0 END) VIRTUAL;
 UPDATE task SET paused = 1 WHERE job_id IN (SELECT id FROM job WHERE paused);
 DROP INDEX task_ready;

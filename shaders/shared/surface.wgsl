@@ -171,7 +171,8 @@ fn emission(material: u32, point: SurfacePoint) -> vec3<f32> {
     return e;
 }
 
-fn mapped_normal(material: u32, point: SurfacePoint, n: vec3<f32>) -> vec3<f32> {
+fn mapped_normal(material: u32, point: SurfacePoint) -> vec3<f32> {
+    let n = point.smooth_normal;
     let number = materials[material].normal_texture;
     if number == NONE || point.bitangent_sign == 0.0 {
         return n;
@@ -186,16 +187,12 @@ fn mapped_normal(material: u32, point: SurfacePoint, n: vec3<f32>) -> vec3<f32> 
     return normalize_or(tangent * x + bitangent * y + n * z, n);
 }
 
-fn facing_viewer(normal: vec3<f32>, geometric_normal: vec3<f32>, to_viewer: vec3<f32>) -> vec3<f32> {
-    let cosine = dot(normal, to_viewer);
-    if cosine >= MIN_VIEW_COSINE {
-        return normal;
-    }
-    return normalize_or(normal + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal);
-}
-
 fn valid_normal(normal: vec3<f32>, geometric_normal: vec3<f32>, to_viewer: vec3<f32>) -> vec3<f32> {
-    let n = facing_viewer(normal, geometric_normal, to_viewer);
+    var n = normal;
+    let cosine = dot(n, to_viewer);
+    if cosine < MIN_VIEW_COSINE {
+        n = normalize_or(n + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal);
+    }
     let mirrored = n * (2.0 * dot(n, to_viewer)) - to_viewer;
     let height = dot(mirrored, geometric_normal);
     let least = min(MIN_MIRROR_COSINE, MIN_MIRROR_SHARE * dot(geometric_normal, to_viewer));
@@ -224,13 +221,12 @@ fn shade_point(point: SurfacePoint, to_viewer: vec3<f32>) -> Surface {
     }
     let side = select(1.0, -1.0, dot(point.geometric_normal, to_viewer) < 0.0);
     let geometric_normal = point.geometric_normal * side;
-    let smooth_normal = valid_normal(point.smooth_normal * side, geometric_normal, to_viewer);
-    let normal = mapped_normal(point.material, point, smooth_normal * side) * side;
+    let normal = valid_normal(mapped_normal(point.material, point) * side, geometric_normal, to_viewer);
     return Surface(
         point.position,
         point.error,
         geometric_normal,
-        facing_viewer(normal, geometric_normal, to_viewer),
+        normal,
         clamp(color.xyz, vec3<f32>(0.0), vec3<f32>(1.0)),
         clamp(metallic, 0.0, 1.0),
         clamp(roughness, 0.0, 1.0),

@@ -192,7 +192,7 @@ impl App {
 
     pub async fn fail(&self, token: &str, report: &Fail) -> ApiResult<LeaseClosed> {
         let state = self.known(token).await?;
-        if report.error.len() > 16 << 10 {
+        if state.outcome == AttemptOutcome::Running && report.error.len() > 16 << 10 {
             return Err(ApiError::fields(vec![FieldError::new("/error", "must have at most 16384 bytes")]));
         }
         self.keep_progress(token, &state).await?;

@@ -68,9 +68,14 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let pointer = pointer(error.path());
         let inner = error.into_inner();
-        match inner.classify() {
-            serde_json::error::Category::Data => ApiError::fields(vec![data_error(pointer, &inner.to_string())]),
-            _ => ApiError::new(Code::BadJson, inner.to_string()),
+        // A wrong type may be met before the place where the body stops being JSON at all.
+        let malformed = serde_json::from_slice::<serde::de::IgnoredAny>(bytes).err();
+        match (inner.classify(), malformed) {
+            (_, Some(malformed)) => ApiError::new(Code::BadJson, malformed.to_string()),
+            (serde_json::error::Category::Data, None) => {
+                ApiError::fields(vec![data_error(pointer, &inner.to_string())])
+            }
+            (_, None) => ApiError::new(Code::BadJson, inner.to_string()),
         }
     })?;
     deserializer.end().map_err(|error| ApiError::new(Code::BadJson, error.to_string()))?;

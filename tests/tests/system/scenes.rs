@@ -110,7 +110,7 @@ async fn budgets_of_scenes_can_be_set() {
         .with("/scenes/0", json!({"nodes": [0, 1]}))
         .with("/nodes", json!([{"mesh": 0}, {"mesh": 0, "translation": [2, 0, 0]}]));
     for (name, bytes, budget) in
-        [("instances", two.glb(), "limit of 1"), ("triangles", generate(&["cornell-box"]), "limit of 1")]
+        [("instances", two.glb(), "limit of 1"), ("triangles", generate(&["terrain"]), "limit of 1")]
     {
         let problem = service.upload("model/gltf-binary", bytes).await.problem(422);
         let detail = problem["detail"].as_str().unwrap();

@@ -66,7 +66,9 @@ async fn a_running_job_shows_its_picture_and_a_cancelled_one_keeps_its_log() {
     browser.go(&format!("{}/jobs/{id}", service.url())).await;
     browser.until("the log of the cancelled job", &says("#log", "scene:")).await;
     browser.until("the attempt", &says("#tasks", "cancelled")).await;
-    assert_eq!(browser.errors().await, Vec::<String>::new());
+    // A preview ends with its job, so that one which was just asked for may be gone.
+    let errors = browser.errors().await;
+    assert!(errors.iter().all(|error| error.contains("preview.png")), "{errors:?}");
 }
 
 #[tokio::test]

@@ -214,8 +214,9 @@ pub fn emission(scene: &PackedScene, material: &PackedMaterial, point: &SurfaceP
     e
 }
 
-/// The shading normal of the front side: the normal map in the tangent frame of the smooth normal `n`.
-fn mapped_normal(scene: &PackedScene, material: &PackedMaterial, point: &SurfacePoint, n: Vec3) -> Vec3 {
+/// The shading normal of the front side: the normal map in the tangent frame of the smooth normal.
+fn mapped_normal(scene: &PackedScene, material: &PackedMaterial, point: &SurfacePoint) -> Vec3 {
+    let n = point.smooth_normal;
     if material.normal_texture == NONE || point.bitangent_sign == 0.0 {
         return n;
     }
@@ -229,21 +230,16 @@ fn mapped_normal(scene: &PackedScene, material: &PackedMaterial, point: &Surface
     normalize_or(tangent * x + bitangent * y + n * z, n)
 }
 
-/// `normal` turned towards the viewer as far as [`MIN_VIEW_COSINE`] asks.
-fn facing_viewer(normal: Vec3, geometric_normal: Vec3, to_viewer: Vec3) -> Vec3 {
-    let cosine = normal.dot(to_viewer);
-    if cosine >= MIN_VIEW_COSINE {
-        return normal;
-    }
-    normalize_or(normal + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal)
-}
-
-/// Interpolated normals do not fit the flat surface that they stand on: seen at a grazing angle they may face away, or
-/// mirror the view into the surface, where all that light would be lost and silhouettes of metal be dark. Such a normal
-/// is bent until the mirrored view leaves the surface (Keller et al. 2017, "The Iray Light Transport Simulation and
-/// Rendering System", appendix A.3). Normal maps come after it, and are left as steep as they are.
+/// Interpolated and mapped normals do not fit the flat surface that they stand on: seen at a grazing angle they may face
+/// away, or mirror the view into the surface, where all that light would be lost and silhouettes and engravings be dark.
+/// Such a normal is bent until the mirrored view leaves the surface (Keller et al. 2017, "The Iray Light Transport
+/// Simulation and Rendering System", appendix A.3).
 fn valid_normal(normal: Vec3, geometric_normal: Vec3, to_viewer: Vec3) -> Vec3 {
-    let n = facing_viewer(normal, geometric_normal, to_viewer);
+    let mut n = normal;
+    let cosine = n.dot(to_viewer);
+    if cosine < MIN_VIEW_COSINE {
+        n = normalize_or(n + to_viewer * (MIN_VIEW_COSINE - cosine), geometric_normal);
+    }
     let mirrored = n * (2.0 * n.dot(to_viewer)) - to_viewer;
     let height = mirrored.dot(geometric_normal);
     let least = MIN_MIRROR_COSINE.min(MIN_MIRROR_SHARE * geometric_normal.dot(to_viewer));
@@ -272,13 +268,12 @@ pub fn shade_point(scene: &PackedScene, point: &SurfacePoint, to_viewer: Vec3) -
     }
     let side = if point.geometric_normal.dot(to_viewer) < 0.0 { -1.0 } else { 1.0 };
     let geometric_normal = point.geometric_normal * side;
-    let smooth_normal = valid_normal(point.smooth_normal * side, geometric_normal, to_viewer);
-    let normal = mapped_normal(scene, material, point, smooth_normal * side) * side;
+    let normal = valid_normal(mapped_normal(scene, material, point) * side, geometric_normal, to_viewer);
     Surface {
         position: point.position,
         error: point.error,
         geometric_normal,
-        normal: facing_viewer(normal, geometric_normal, to_viewer),
+        normal,
         base_color: Vec3::new(color[0].clamp(0.0, 1.0), color[1].clamp(0.0, 1.0), color[2].clamp(0.0, 1.0)),
         metallic: metallic.clamp(0.0, 1.0),
         roughness: roughness.clamp(0.0, 1.0),
