@@ -10,6 +10,7 @@ pub(crate) mod bvh2;
 pub(crate) mod cells;
 mod flat;
 mod grid;
+pub mod line_space;
 mod memory;
 mod ntree;
 mod octree;
@@ -29,7 +30,7 @@ pub use flat::{Names, flat_hash, flatten};
 pub use grid::{GridParams, GridResolution};
 pub use ntree::NTreeParams;
 pub use octree::OctreeParams;
-pub use scene_accel::{HitFilter, Placement, SceneAccel};
+pub use scene_accel::{HitFilter, Placement, SceneAccel, SurfaceStart};
 pub use structure::{Structure, StructureParams, WeakStructure};
 
 use crate::scene::{Aabb, Mesh, MeshHash};
@@ -59,7 +60,7 @@ pub const BUILDER_VERSION: u32 = 2;
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct StructureKey {
     pub mesh: MeshHash,
-    /// `"bvh"`, `"grid"`, `"octree"` or `"ntree"`.
+    /// `"bvh"`, `"grid"`, `"octree"` or `"ntree"`; `"line_space"` or `"surface_shafts"`.
     pub kind: &'static str,
     /// Canonical text of the parameters, e.g. `quality=medium,spatial_splits=false`.
     pub parameters: String,

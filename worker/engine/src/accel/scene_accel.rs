@@ -1,10 +1,14 @@
 //! What rays are traced against: one or more structures, placed in the world.
 
+use std::sync::Arc;
+
 use glam::Affine3A;
 
 use super::flat::{NamedSink, Names};
+use super::line_space::{Gates, LineSpace, SurfaceShafts};
 use super::two_level::TwoLevel;
 use super::{Bvh2, Structure};
+use crate::scene::MeshHash;
 use crate::trace::{Counters, Hit, Kernels, ObjectRay, Ray, Sink};
 
 /// One placed mesh, as the top level sees it.
@@ -15,6 +19,17 @@ pub struct Placement {
     pub transform: Affine3A,
     /// Candidate hits of this instance go through the [`HitFilter`].
     pub filtered: bool,
+}
+
+/// Where a ray starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SurfaceStart {
+    /// Index into the scene's placements.
+    pub instance: u32,
+    /// Of the instance's mesh.
+    pub triangle: u32,
+    /// Whether it leaves to the side from which the triangle's corners are seen counter-clockwise, in the mesh's space.
+    pub is_front: bool,
 }
 
 /// Decides whether a candidate hit counts (alpha mask and blend). Must depend on the hit alone, never on the order of
@@ -28,6 +43,7 @@ pub trait HitFilter {
 pub struct SceneAccel {
     structures: Vec<Structure>,
     form: Form,
+    gates: Gates,
     kernels: Kernels,
 }
 
@@ -50,12 +66,13 @@ impl SceneAccel {
     pub fn build<T: Into<Structure>>(structures: Vec<T>, placements: &[Placement]) -> Self {
         let structures: Vec<Structure> = structures.into_iter().map(Into::into).collect();
         let top = TwoLevel::build(&structures, placements);
-        Self { structures, form: Form::TwoLevel(top), kernels: Kernels::detect() }
+        Self { structures, form: Form::TwoLevel(top), gates: Gates::default(), kernels: Kernels::detect() }
     }
 
     /// One structure over the mesh that [`flatten`](super::flatten) made, with the names that it gave.
     pub fn flat(structure: impl Into<Structure>, names: Names) -> Self {
-        Self { structures: vec![structure.into()], form: Form::Flat(names), kernels: Kernels::detect() }
+        let (form, gates) = (Form::Flat(names), Gates::default());
+        Self { structures: vec![structure.into()], form, gates, kernels: Kernels::detect() }
     }
 
     /// The same scene, walked by other kernels than the best for this CPU: their answers are the same.
@@ -63,24 +80,88 @@ impl SceneAccel {
         Self { kernels, ..self }
     }
 
+    /// The same scene, with Line Spaces that are asked before the structure of a mesh is walked: one, or none, for each of
+    /// [`Self::structures`]. All answers stay the same; those with a payload of classes spare work.
+    ///
+    /// # Errors
+    /// In a flat scene, when there are more or fewer than structures, or one is for another mesh.
+    pub fn with_line_spaces(self, line_spaces: Vec<Option<Arc<LineSpace>>>) -> Result<Self, String> {
+        self.check_gates("line spaces", line_spaces.iter().map(|space| space.as_ref().map(|space| space.mesh())))?;
+        Ok(Self { gates: Gates { line_spaces, ..self.gates }, ..self })
+    }
+
+    /// The same scene, with surface shafts that [`Self::occluded_from`] asks: one, or none, for each of
+    /// [`Self::structures`]. Its answers are as exact as they are.
+    ///
+    /// # Errors
+    /// In a flat scene, when there are more or fewer than structures, or one is for another mesh.
+    pub fn with_surface_shafts(self, surfaces: Vec<Option<Arc<SurfaceShafts>>>) -> Result<Self, String> {
+        self.check_gates("surface shafts", surfaces.iter().map(|shafts| shafts.as_ref().map(|shafts| shafts.mesh())))?;
+        Ok(Self { gates: Gates { surfaces, ..self.gates }, ..self })
+    }
+
+    fn check_gates(&self, what: &str, meshes: impl ExactSizeIterator<Item = Option<MeshHash>>) -> Result<(), String> {
+        if self.is_flat() {
+            return Err(format!("{what} belong to meshes, and a flat scene has none"));
+        }
+        if meshes.len() != self.structures.len() {
+            return Err(format!("{} {what} for {} structures", meshes.len(), self.structures.len()));
+        }
+        for (structure, mesh) in self.structures.iter().zip(meshes) {
+            if let Some(mesh) = mesh.filter(|&mesh| mesh != structure.mesh()) {
+                return Err(format!("{what} of mesh {mesh} for {}", structure.mesh()));
+            }
+        }
+        Ok(())
+    }
+
     /// The nearest hit in `(t_min, t_max)`. Of several at the same `t` the one of the lowest instance counts, and in it
     /// that of the lowest primitive: so the answer does not depend on the structure.
     pub fn closest(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> Option<Hit> {
         let nothing = Hit { t: ray.t_max, u: 0.0, v: 0.0, instance: 0, primitive: 0 };
         let mut sink = Closest { best: nothing, found: false };
-        self.walk(ray, filter, &mut sink, counters);
+        self.walk::<false>(ray, filter, &mut sink, counters);
         sink.found.then_some(sink.best)
     }
 
     /// Whether anything is hit in `(t_min, t_max)`.
     pub fn occluded(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
-        self.walk(ray, filter, &mut Any { t_max: ray.t_max }, counters)
+        self.walk::<true>(ray, filter, &mut Any { t_max: ray.t_max }, counters)
     }
 
-    #[inline(always)]
-    fn walk(&self, ray: &Ray, filter: &dyn HitFilter, sink: &mut impl Sink, counters: &mut Counters) -> bool {
+    /// Like [`Self::occluded`], for a ray that starts just above a triangle. With surface shafts, the mesh that it starts on
+    /// is asked first: it blocks most rays that are blocked at all.
+    pub fn occluded_from(
+        &self,
+        ray: &Ray,
+        start: &SurfaceStart,
+        filter: &dyn HitFilter,
+        counters: &mut Counters,
+    ) -> bool {
         match &self.form {
-            Form::TwoLevel(top) => top.walk(&self.structures, self.kernels, ray, filter, sink, counters),
+            Form::TwoLevel(top) if !self.gates.surfaces.is_empty() => {
+                let mut sink = Any { t_max: ray.t_max };
+                let scene = top.scene(&self.structures, &self.gates, self.kernels);
+                scene.walk_from(start, ray, filter, &mut sink, counters)
+            }
+            _ => self.occluded(ray, filter, counters),
+        }
+    }
+
+    /// `ANY`: the sink stops at any hit, so that a gate may answer for it.
+    #[inline(always)]
+    fn walk<const ANY: bool>(
+        &self,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        match &self.form {
+            Form::TwoLevel(top) => {
+                let scene = top.scene(&self.structures, &self.gates, self.kernels);
+                scene.walk::<ANY>(ray, filter, sink, counters)
+            }
             Form::Flat(names) => {
                 let structure = &self.structures[0];
                 let Some(object_ray) = ObjectRay::new(ray, &structure.bounds()) else { return false };

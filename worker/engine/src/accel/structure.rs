@@ -108,6 +108,14 @@ impl Structure {
         }
     }
 
+    /// The mesh that it was built over.
+    pub fn mesh(&self) -> MeshHash {
+        match self {
+            Self::Bvh(bvh) => bvh.mesh(),
+            Self::Cells(tree) => tree.mesh(),
+        }
+    }
+
     pub fn bounds(&self) -> Aabb {
         match self {
             Self::Bvh(bvh) => bvh.bvh2().bounds(),

@@ -8,8 +8,9 @@ use glam::{Affine3A, DMat3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::bvh2::Bvh2;
+use super::line_space::{Gates, Verdict};
 use super::wide::{self, Node};
-use super::{HitFilter, Placement, Structure, build};
+use super::{HitFilter, Placement, Structure, SurfaceStart, build};
 use crate::scene::Aabb;
 use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink};
 
@@ -64,25 +65,9 @@ impl TwoLevel {
         Self { instances, top, top_nodes, top_entries, bounds, only }
     }
 
-    #[inline(always)]
-    pub(super) fn walk(
-        &self,
-        structures: &[Structure],
-        kernels: Kernels,
-        ray: &Ray,
-        filter: &dyn HitFilter,
-        sink: &mut impl Sink,
-        counters: &mut Counters,
-    ) -> bool {
-        let scene = Scene { top: self, structures, kernels };
-        if let Some(only) = self.only {
-            return scene.walk_instance(only, ray, ray, filter, sink, counters);
-        }
-        let Some(world_ray) = ObjectRay::new(ray, &self.bounds) else { return false };
-        let mut visitor = InstanceVisitor { scene, ray, filter, sink, counters: Counters::default() };
-        let stopped = kernels.walk_top(&self.top_nodes, &world_ray, &mut visitor, counters);
-        *counters += visitor.counters;
-        stopped
+    /// Ready to be walked.
+    pub(super) fn scene<'a>(&'a self, structures: &'a [Structure], gates: &'a Gates, kernels: Kernels) -> Scene<'a> {
+        Scene { top: self, structures, gates, kernels }
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -99,15 +84,102 @@ impl TwoLevel {
 
 /// What a walk needs of the scene.
 #[derive(Clone, Copy)]
-struct Scene<'a> {
+pub(super) struct Scene<'a> {
     top: &'a TwoLevel,
     structures: &'a [Structure],
+    gates: &'a Gates,
     kernels: Kernels,
 }
 
 impl Scene<'_> {
+    /// `ANY`: the sink stops at any hit, so that a gate may answer for it.
     #[inline(always)]
-    fn walk_instance(
+    pub(super) fn walk<const ANY: bool>(
+        &self,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        match self.top.only {
+            Some(only) => self.walk_instance::<ANY>(only, ray, ray, filter, sink, counters),
+            None => self.walk_top::<ANY>(None, ray, filter, sink, counters),
+        }
+    }
+
+    /// Whether any hit stops the sink, of a ray that starts on a triangle: its own mesh comes first.
+    pub(super) fn walk_from(
+        &self,
+        start: &SurfaceStart,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        let Some(instance) = self.top.instances.get(start.instance as usize) else {
+            return self.walk::<true>(ray, filter, sink, counters);
+        };
+        let object_ray = if self.top.only.is_some() { *ray } else { instance.to_object(ray, ray.t_max) };
+        let verdict = match self.gates.surface(instance.structure) {
+            Some(shafts) if start.is_front => shafts.verdict(&object_ray, start.triangle, &mut counters.gates.own_mesh),
+            _ => Verdict::Unknown,
+        };
+        let stopped = match verdict {
+            Verdict::Miss => false,
+            // The filter may let the ray pass through what is there.
+            Verdict::Hit if !instance.filtered => true,
+            Verdict::Hit | Verdict::Unknown => {
+                // The box says nothing of a ray that starts inside and is not known to leave.
+                self.enter(start.instance, ray, &object_ray, filter, sink, counters)
+            }
+        };
+        let is_all = self.top.only.is_some();
+        stopped || (!is_all && self.walk_top::<true>(Some(start.instance), ray, filter, sink, counters))
+    }
+
+    /// Walks all instances but one.
+    #[inline(always)]
+    fn walk_top<const ANY: bool>(
+        &self,
+        without: Option<u32>,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        let Some(world_ray) = ObjectRay::new(ray, &self.top.bounds) else { return false };
+        let counted = Counters::default();
+        let mut visitor = InstanceVisitor::<_, ANY> { scene: *self, without, ray, filter, sink, counters: counted };
+        let stopped = self.kernels.walk_top(&self.top.top_nodes, &world_ray, &mut visitor, counters);
+        *counters += visitor.counters;
+        stopped
+    }
+
+    #[inline(always)]
+    fn walk_instance<const ANY: bool>(
+        &self,
+        number: u32,
+        ray: &Ray,
+        object_ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        let instance = &self.top.instances[number as usize];
+        if let Some(space) = self.gates.line_space(instance.structure) {
+            match space.verdict(object_ray, &mut counters.gates) {
+                Verdict::Miss => return false,
+                // The filter may let the ray pass through what is there.
+                Verdict::Hit if ANY && !instance.filtered => return true,
+                Verdict::Hit | Verdict::Unknown => {}
+            }
+        }
+        self.enter(number, ray, object_ray, filter, sink, counters)
+    }
+
+    /// Walks the structure of an instance.
+    #[inline(always)]
+    fn enter(
         &self,
         number: u32,
         ray: &Ray,
@@ -199,21 +271,27 @@ fn world_bounds(cut: &[Aabb], transform: &Affine3A) -> Aabb {
     Aabb { min: bounds.min - slack, max: bounds.max + slack }
 }
 
-struct InstanceVisitor<'a, S> {
+struct InstanceVisitor<'a, S, const ANY: bool> {
     scene: Scene<'a>,
+    /// An instance that has been dealt with.
+    without: Option<u32>,
     ray: &'a Ray,
     filter: &'a dyn HitFilter,
     sink: &'a mut S,
     counters: Counters,
 }
 
-impl<S: Sink> LeafVisitor for InstanceVisitor<'_, S> {
+impl<S: Sink, const ANY: bool> LeafVisitor for InstanceVisitor<'_, S, ANY> {
     #[inline(always)]
     fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
         for entry in entries {
             let number = self.scene.top.top_entries[entry];
+            if self.without == Some(number) {
+                continue;
+            }
             let object_ray = self.scene.top.instances[number as usize].to_object(self.ray, self.sink.t_limit());
-            if self.scene.walk_instance(number, self.ray, &object_ray, self.filter, self.sink, &mut self.counters) {
+            let (ray, filter) = (self.ray, self.filter);
+            if self.scene.walk_instance::<ANY>(number, ray, &object_ray, filter, self.sink, &mut self.counters) {
                 return true;
             }
         }

@@ -8,6 +8,8 @@ mod simd;
 
 use glam::Vec3;
 
+use crate::accel::line_space::GateCounters;
+
 pub use kernel::Kernels;
 pub(crate) use kernel::{LeafVisitor, Sink};
 pub(crate) use object_ray::ObjectRay;
@@ -48,11 +50,14 @@ pub struct Counters {
     /// Boxes tested, and cells stepped through.
     pub box_tests: u64,
     pub triangle_tests: u64,
+    /// Of a scene with Line Spaces.
+    pub gates: GateCounters,
 }
 
 impl std::ops::AddAssign for Counters {
     fn add_assign(&mut self, other: Self) {
         self.box_tests += other.box_tests;
         self.triangle_tests += other.triangle_tests;
+        self.gates += other.gates;
     }
 }

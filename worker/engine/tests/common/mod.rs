@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use glam::{Affine3A, DVec3, Vec3};
+use lightshaft_engine::accel::line_space::ShaftGrid;
 use lightshaft_engine::accel::{BuildParams, HitFilter, MeshStructure, Placement, Quality, SceneAccel};
 use lightshaft_engine::scene::{Aabb, Mesh};
 use lightshaft_engine::trace::{Counters, Hit, Kernels, Ray};
@@ -107,4 +108,31 @@ pub(crate) fn random_ray(random: &mut Random, bounds: &Aabb) -> Ray {
     };
     let t_max = if random.next().is_multiple_of(3) { random.unit() } else { f32::INFINITY };
     Ray { origin, t_min: 0.0, direction, t_max }
+}
+
+/// A ray that comes from near or far, and often along an axis, an edge or a corner.
+pub(crate) fn hard_ray(random: &mut Random, grid: &ShaftGrid, bounds: &Aabb) -> Ray {
+    let mut ray = random_ray(random, bounds);
+    let extent = bounds.extent().max(Vec3::splat(bounds.extent().max_element() / 256.0));
+    let border = |random: &mut Random| {
+        let step = |random: &mut Random| (random.next() % u64::from(grid.n() + 1)) as f64 / f64::from(grid.n());
+        grid.from_unit(DVec3::new(step(random), step(random), step(random))).as_vec3()
+    };
+    match random.next() % 8 {
+        0 => ray.direction[random.next() as usize % 3] = 0.0,
+        1 => ray.origin = border(random),
+        2 => ray.direction = border(random) - ray.origin,
+        3 => {
+            ray.origin = border(random);
+            ray.direction = border(random) - ray.origin;
+        }
+        4 => ray.origin -= ray.direction.normalize_or_zero() * extent.max_element() * 100.0 * random.unit(),
+        5 => ray.direction[random.next() as usize % 3] *= 1e-12,
+        6 => ray.t_min = random.unit(),
+        _ => {}
+    }
+    if ray.direction == Vec3::ZERO {
+        ray.direction = extent;
+    }
+    ray
 }

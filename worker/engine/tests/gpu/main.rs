@@ -6,6 +6,7 @@ mod common;
 mod failures;
 mod pictures;
 mod scenes;
+mod shafts;
 mod traversal;
 
 use std::sync::{Arc, OnceLock};

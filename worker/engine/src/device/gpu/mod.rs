@@ -12,6 +12,7 @@ mod scene;
 mod shader;
 #[cfg(test)]
 mod shader_tests;
+mod shafts;
 mod stages;
 mod structure;
 mod tracer;
@@ -21,6 +22,7 @@ use std::sync::Arc;
 
 pub use adapter::{REQUIRED_STORAGE_BUFFERS, adapters, is_software};
 pub use context::Context;
+pub use shafts::{LocatedShaft, locate_shafts};
 pub use structure::{HostStructure, MeshView, PlacementView};
 pub use tracer::{Batch, Kernel, Tracer};
 

@@ -289,7 +289,7 @@ impl Renderer for GpuRenderer {
         }
         for hit in &hits {
             let (box_tests, triangle_tests) = (hit.box_tests.into(), hit.primitive_tests.into());
-            stats.counters += Counters { box_tests, triangle_tests };
+            stats.counters += Counters { box_tests, triangle_tests, ..Counters::default() };
         }
         stats.rays.primary = hits.len() as u64;
         out.store_hits(region, &hits);

@@ -42,6 +42,17 @@ pub(super) struct GpuRay {
 }
 const _: () = assert!(size_of::<GpuRay>() == 32);
 
+impl GpuRay {
+    pub(super) fn new(ray: &Ray) -> Self {
+        Self {
+            origin: ray.origin.into(),
+            t_min: ray.t_min,
+            direction: ray.direction.into(),
+            t_max: ray.t_max.min(f32::MAX),
+        }
+    }
+}
+
 /// Traces ray batches on one structure.
 pub struct Tracer<'a> {
     context: &'a Context,
@@ -86,15 +97,7 @@ impl<'a> Tracer<'a> {
     /// Uploads rays and compiles the kernel.
     pub fn prepare(&self, rays: &[Ray], any_hit: bool) -> Result<Batch, DeviceError> {
         let context = self.context;
-        let gpu_rays: Vec<_> = rays
-            .iter()
-            .map(|r| GpuRay {
-                origin: r.origin.into(),
-                t_min: r.t_min,
-                direction: r.direction.into(),
-                t_max: r.t_max.min(f32::MAX),
-            })
-            .collect();
+        let gpu_rays: Vec<_> = rays.iter().map(GpuRay::new).collect();
         let queue: Vec<u32> = std::iter::once(rays.len() as u32).chain(0..rays.len() as u32).collect();
         let ray_buffer = context.upload("rays", bytemuck::cast_slice(&gpu_rays))?;
         let queue = context.upload("queue", bytemuck::cast_slice(&queue))?;

@@ -1,0 +1,184 @@
+//! Line Spaces: what can be said of all lines of a shaft at once (Keul 2020, "Efficient ray tracing with line space").
+//!
+//! The faces of a mesh's box are cut into patches, two patches make a shaft ([`shaft`]), and a [`LineSpace`] stores
+//! something for each shaft, its payload:
+//!
+//! - [`Payload::Binary`]: whether it may hold geometry. By masking or clipping it is conservative, by ray casting not.
+//! - [`Payload::Candidates`]: a primitive that stands for all that is in the shaft, seen from its start.
+//! - [`Payload::Classes`]: EMPTY, OPAQUE or MIXED, each proven ([`Class`]); dense or hierarchical. This is what makes
+//!   [`SceneAccel`](super::SceneAccel) faster without changing an answer.
+//! - [`Payload::Coverage`]: which part of its lines is blocked.
+//!
+//! [`SurfaceShafts`] do the same for rays that start on the mesh. Both belong to a mesh and are cached as structures are.
+
+mod bits;
+mod cast;
+mod classes;
+mod gate;
+mod hull;
+mod layered;
+mod mask;
+mod params;
+pub mod shaft;
+mod store;
+mod surface;
+mod surface_rows;
+#[cfg(test)]
+mod tests;
+mod voxels;
+
+use std::sync::atomic::AtomicBool;
+
+pub use bits::{BinaryShafts, BitSet, Coverage, SparseCandidates};
+pub use classes::{Class, ClassTable, ClassTree};
+pub use gate::GateCounters;
+pub(crate) use gate::{Gates, Verdict};
+pub use mask::MAX_MASK_N;
+pub use params::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
+pub use shaft::{Chord, Location, Patch, ShaftGrid};
+pub use surface::{Evidence, SurfaceShaftParams, SurfaceShafts};
+
+use super::{BuildError, CorruptStructure, MeshStructure, StructureKey};
+use crate::scene::{Mesh, MeshHash};
+
+/// Changes whenever a builder or the stored layout changes: old cache entries are then simply not found.
+pub const LINE_SPACE_VERSION: u32 = 1;
+
+/// What is stored for the shafts of a box.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shafts {
+    Binary(BinaryShafts),
+    Candidates(SparseCandidates),
+    Table(ClassTable),
+    Tree(ClassTree),
+    Coverage(Coverage),
+}
+
+impl Shafts {
+    /// Memory, in bytes.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Binary(binary) => size_of_val(binary.bits().words()),
+            Self::Candidates(candidates) => candidates.bytes(),
+            Self::Table(table) => table.bytes(),
+            Self::Tree(tree) => tree.bytes(),
+            Self::Coverage(coverage) => coverage.bytes(),
+        }
+    }
+}
+
+/// The Line Space of one mesh's root box. Immutable; share it in an [`std::sync::Arc`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineSpace {
+    mesh: MeshHash,
+    params: LineSpaceParams,
+    /// None for a mesh whose box single precision cannot divide (see [`ShaftGrid::new`]): nothing is known of its rays.
+    content: Option<(ShaftGrid, Shafts)>,
+}
+
+impl LineSpace {
+    /// Builds with rayon's current pool; looks at `cancel` often enough to stop within 100 ms (but for single primitives
+    /// that fill the box).
+    ///
+    /// `structure` is any structure over `mesh`: it finds hits, but does not change what is built.
+    ///
+    /// # Errors
+    /// [`BuildError::Unsupported`] for parameters out of range, and with the figure when it may take more than
+    /// `budget_bytes`.
+    pub fn build(
+        mesh: &Mesh,
+        structure: &MeshStructure,
+        params: &LineSpaceParams,
+        budget_bytes: u64,
+        cancel: &AtomicBool,
+    ) -> Result<Self, BuildError> {
+        params.check().map_err(BuildError::Unsupported)?;
+        let needed = params.bytes_at_most();
+        if needed > budget_bytes {
+            return Err(BuildError::Unsupported(format!(
+                "the line space of a mesh ({}) may take {needed} bytes; the budget is {budget_bytes}",
+                params.canonical()
+            )));
+        }
+        let Some(grid) = ShaftGrid::new(&structure.bvh2().bounds(), params.n) else {
+            return Ok(Self { mesh: mesh.hash, params: *params, content: None });
+        };
+        let shafts = match params.payload {
+            Payload::Binary { builder } => Shafts::Binary(match builder {
+                BinaryBuilder::Masking => mask::by_masking(mesh, structure, &grid, cancel)?,
+                BinaryBuilder::Clipping => mask::by_clipping(mesh, structure, &grid, cancel)?,
+                BinaryBuilder::Casting(pattern) => cast::marks(structure, &grid, pattern, cancel)?,
+            }),
+            Payload::Candidates { pattern } => Shafts::Candidates(cast::candidates(structure, &grid, pattern, cancel)?),
+            Payload::Classes { layout, resolution } => {
+                let root_n = params.n >> params.class_levels();
+                let tree = layered::build(mesh, structure, &grid, root_n, resolution, cancel)?;
+                match layout {
+                    ClassLayout::Tree => Shafts::Tree(tree),
+                    ClassLayout::Table => Shafts::Table(ClassTable::from_fn(params.n, |index| {
+                        let (a, b) = shaft::symmetric_patches(params.n, index);
+                        tree.class(a, b)
+                    })),
+                }
+            }
+            Payload::Coverage { bits, rays } => Shafts::Coverage(cast::coverage(structure, &grid, bits, rays, cancel)?),
+        };
+        Ok(Self { mesh: mesh.hash, params: *params, content: Some((grid, shafts)) })
+    }
+
+    /// The mesh that it was built for.
+    pub fn mesh(&self) -> MeshHash {
+        self.mesh
+    }
+
+    pub fn params(&self) -> &LineSpaceParams {
+        &self.params
+    }
+
+    /// The grid of patches; None where nothing is known of any ray.
+    pub fn grid(&self) -> Option<&ShaftGrid> {
+        self.content.as_ref().map(|(grid, _)| grid)
+    }
+
+    /// What is stored; None where nothing is known of any ray.
+    pub fn shafts(&self) -> Option<&Shafts> {
+        self.content.as_ref().map(|(_, shafts)| shafts)
+    }
+
+    /// The class of a shaft between two patches on different faces; [`Class::Mixed`] with another payload.
+    pub fn class(&self, a: Patch, b: Patch) -> Class {
+        match self.shafts() {
+            Some(Shafts::Table(table)) => table.class(a, b),
+            Some(Shafts::Tree(tree)) => tree.class(a, b),
+            _ => Class::Mixed,
+        }
+    }
+
+    /// Memory that it takes, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.shafts().map_or(0, Shafts::bytes)
+    }
+
+    /// The stored form: header, checksum, parameters, little-endian words.
+    pub fn encode(&self) -> Vec<u8> {
+        store::encode(self)
+    }
+
+    /// Reads what [`Self::encode`] wrote for `mesh` with `params`. Checks header, version, checksum, mesh, parameters, and
+    /// every number of the payload before anything is made of it.
+    pub fn decode(
+        bytes: &[u8],
+        mesh: &Mesh,
+        structure: &MeshStructure,
+        params: &LineSpaceParams,
+    ) -> Result<Self, CorruptStructure> {
+        store::decode(bytes, mesh, structure, params).map_err(CorruptStructure)
+    }
+}
+
+impl LineSpaceParams {
+    /// The key of a mesh's Line Space in every cache.
+    pub fn key(&self, mesh: MeshHash) -> StructureKey {
+        StructureKey { mesh, kind: "line_space", parameters: self.canonical(), builder_version: LINE_SPACE_VERSION }
+    }
+}

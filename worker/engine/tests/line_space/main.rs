@@ -1,0 +1,9 @@
+//! Line Spaces: shafts, payloads and what is claimed of them, against slow oracles.
+
+mod classes;
+#[path = "../common/mod.rs"]
+mod common;
+mod meshes;
+mod payloads;
+mod shafts;
+mod surfaces;
