@@ -11,6 +11,7 @@ pub mod lease;
 pub mod mesh;
 pub mod page;
 pub mod problem;
+pub mod read;
 pub mod scene;
 pub mod settings;
 pub mod status;

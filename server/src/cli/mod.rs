@@ -19,6 +19,7 @@ mod serve;
 mod settings;
 mod supervisor;
 mod worker;
+mod workers;
 
 use std::process::ExitCode;
 
@@ -63,6 +64,9 @@ enum Command {
     /// Submit, follow and fetch jobs.
     #[command(subcommand)]
     Job(job::Command),
+    /// List and drain the workers of a service.
+    #[command(subcommand)]
+    Workers(workers::Command),
     /// Render a scene file here, without a service.
     Render(Box<render::Args>),
     /// Compare two pictures.
@@ -95,6 +99,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Worker(args) => block_on(worker::run(args, global)),
         Command::Scene(command) => scene::run(command, global),
         Command::Job(command) => block_on(job::run(command, global)),
+        Command::Workers(command) => block_on(workers::run(command, global)),
         Command::Render(args) => render::run(&args, global),
         Command::Compare(args) => compare::run(&args, global),
         Command::Devices => devices::run(global),
@@ -171,8 +176,16 @@ mod tests {
             "lightshaft job cancel j",
             "lightshaft job retry j",
             "lightshaft job delete j",
+            "lightshaft job priority j -5",
+            "lightshaft job pause j",
+            "lightshaft job resume j",
             "lightshaft job download j -o out",
             "lightshaft job log j",
+            "lightshaft workers list",
+            "lightshaft workers show w",
+            "lightshaft workers drain w",
+            "lightshaft workers undrain w",
+            "lightshaft workers forget w",
             "lightshaft devices --json",
             "lightshaft completions bash",
             "lightshaft openapi",

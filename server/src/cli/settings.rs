@@ -162,12 +162,16 @@ impl Chosen {
     /// # Errors
     /// Names every field that is wrong.
     pub(crate) fn finish(self) -> Result<RenderSettings> {
-        let settings: RenderSettings = serde_json::from_value(Value::Object(self.json))
-            .map_err(|error| CliError::usage(format!("settings: {error}")))?;
-        let errors = settings.validate("");
-        if errors.is_empty() {
-            return Ok(settings);
-        }
+        let errors = match lightshaft_api::read::from_value::<RenderSettings>(Value::Object(self.json)) {
+            Err(errors) => errors,
+            Ok(settings) => {
+                let errors = settings.validate("");
+                if errors.is_empty() {
+                    return Ok(settings);
+                }
+                errors
+            }
+        };
         let lines = errors.iter().map(|error| format!("{}: {}", error.pointer.trim_start_matches('/'), error.detail));
         Err(CliError::usage(format!("settings: {}", lines.collect::<Vec<_>>().join("; "))))
     }
@@ -265,6 +269,8 @@ mod tests {
     #[test]
     fn wrong_settings_are_named() {
         assert!(error("--setting widht=3").contains("widht"));
+        let two = error("--aovs depth,magic --integrator magic");
+        assert!(two.contains("aovs/1: unknown variant `magic`") && two.contains("integrator: "), "{two}");
         assert!(error("--width 0").contains("width"));
         assert!(error("--setting width").contains("KEY=VALUE"));
         assert!(error("--acceleration {").contains("--acceleration"));

@@ -55,6 +55,21 @@ async fn every_wrong_setting_is_named() {
 }
 
 #[tokio::test]
+async fn all_wrong_fields_are_named_at_once() {
+    let service = Service::start_with(&["--workers", "0"]);
+    let body = json!({
+        "scene": 7, "colour": "red",
+        "settings": {"width": "wide", "integrator": "magic", "outputs": ["gif"], "spp": 4},
+    });
+    let problem = service.post("/v1/jobs", &body).await.problem(422);
+    for pointer in ["/scene", "/colour", "/settings/width", "/settings/integrator", "/settings/outputs"] {
+        assert_names(&problem, pointer, &body);
+    }
+    let problem = service.post("/v1/jobs", &json!(["scene"])).await.problem(422);
+    assert!(problem["detail"].as_str().unwrap().contains("must be a JSON object"), "{problem}");
+}
+
+#[tokio::test]
 async fn every_wrong_field_of_a_job_is_named() {
     let service = Service::start_with(&["--workers", "0"]);
     let scene = service.scene(Gltf::triangle().glb()).await;

@@ -62,11 +62,29 @@ async fn jobs_are_cancelled_and_retried_by_commands() {
     let scene = service.scene(Gltf::triangle().glb()).await;
     let job = json_of(&service, &["job", "submit", &scene], 0);
     let job = text(&job["id"]);
+    assert_eq!(json_of(&service, &["job", "priority", job, "-7"], 0)["priority"], -7);
+    assert_eq!(json_of(&service, &["job", "pause", job], 0)["paused"], true);
+    assert_eq!(json_of(&service, &["job", "resume", job], 0)["paused"], false);
     json_of(&service, &["job", "cancel", job], 0);
     assert_eq!(service.job(job).await["state"], "cancelled");
     assert_eq!(at(&service, &["job", "watch", job]).status.code(), Some(1), "the answer is no: it did not succeed");
     json_of(&service, &["job", "retry", job], 0);
     assert_eq!(service.job(job).await["state"], "queued");
+}
+
+#[tokio::test]
+async fn workers_are_drained_by_commands() {
+    let service = Service::start();
+    let registered =
+        service.until("a worker", async || json_of(&service, &["workers", "list"], 0).get(0).cloned()).await;
+    let worker = text(&registered["id"]);
+    assert_eq!(json_of(&service, &["workers", "drain", worker], 0)["draining"], true);
+    assert_eq!(json_of(&service, &["workers", "show", worker], 0)["state"], "draining");
+    assert_eq!(json_of(&service, &["workers", "undrain", worker], 0)["draining"], false);
+    let table = at(&service, &["workers", "list"]);
+    assert!(String::from_utf8_lossy(&table.stdout).contains(worker));
+    json_of(&service, &["workers", "forget", worker], 0);
+    assert_eq!(at(&service, &["workers", "show", worker]).status.code(), Some(2), "it is forgotten");
 }
 
 #[tokio::test]

@@ -7,8 +7,8 @@ mod watch;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use lightshaft_api::client::JobFilter;
-use lightshaft_api::job::{Job, JobState, JobSummary};
+use lightshaft_api::client::{Client, JobFilter};
+use lightshaft_api::job::{Job, JobPatch, JobState, JobSummary};
 use serde_json::json;
 
 use super::error::{CliError, Result};
@@ -41,6 +41,17 @@ pub(crate) enum Command {
     Cancel { job: String },
     /// Try a failed or cancelled job again.
     Retry { job: String },
+    /// Change how soon a job's tasks run.
+    Priority {
+        job: String,
+        /// -100 to 100; higher runs first.
+        #[arg(allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-100..=100))]
+        priority: i32,
+    },
+    /// Keep a job's tasks from being leased; running ones go on.
+    Pause { job: String },
+    /// Let a paused job go on.
+    Resume { job: String },
     /// Delete a finished job with its pictures and logs.
     Delete { job: String },
     /// Write a job's artifacts into a folder.
@@ -73,6 +84,15 @@ pub(crate) async fn run(command: Command, global: &Global) -> Result<()> {
         Command::Show { job } => print_job(&client.job(&job).await?, global),
         Command::Cancel { job } => print_job(&client.cancel_job(&job).await?, global),
         Command::Retry { job } => print_job(&client.retry_job(&job).await?, global),
+        Command::Priority { job, priority } => {
+            patch(&client, &job, JobPatch { priority: Some(priority), ..JobPatch::default() }, global).await
+        }
+        Command::Pause { job } => {
+            patch(&client, &job, JobPatch { paused: Some(true), ..JobPatch::default() }, global).await
+        }
+        Command::Resume { job } => {
+            patch(&client, &job, JobPatch { paused: Some(false), ..JobPatch::default() }, global).await
+        }
         Command::Delete { job } => {
             client.delete_job(&job).await?;
             if global.json { output::print_json(&json!({ "deleted": job })) } else { Ok(()) }
@@ -88,6 +108,10 @@ pub(crate) async fn run(command: Command, global: &Global) -> Result<()> {
             output::print(&lines)
         }
     }
+}
+
+async fn patch(client: &Client, job: &str, patch: JobPatch, global: &Global) -> Result<()> {
+    print_job(&client.patch_job(job, &patch).await?, global)
 }
 
 fn parse_state(text: &str) -> std::result::Result<JobState, String> {
@@ -108,12 +132,7 @@ fn parse_labels(labels: &[String]) -> Result<BTreeMap<String, String>> {
 }
 
 /// Follows the pages until there are `limit` jobs.
-async fn list(
-    client: &lightshaft_api::client::Client,
-    mut filter: JobFilter,
-    limit: u32,
-    global: &Global,
-) -> Result<()> {
+async fn list(client: &Client, mut filter: JobFilter, limit: u32, global: &Global) -> Result<()> {
     let mut jobs: Vec<JobSummary> = Vec::new();
     loop {
         filter.limit = Some((limit - jobs.len() as u32).min(100));
