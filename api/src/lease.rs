@@ -38,7 +38,9 @@ pub struct LeaseRequest {
 pub struct Lease {
     /// The fence: secret, unique per attempt.
     pub token: String,
+    /// For how long the worker may be silent, in seconds.
     pub ttl_s: u32,
+    /// Seconds between heartbeats, at most a third of `ttl_s`.
     pub heartbeat_s: f64,
     pub expires_at: Timestamp,
     pub job: String,

@@ -59,7 +59,7 @@ pub enum WorkerState {
     Busy,
     /// Finishes what it has and leases no more.
     Draining,
-    /// Not heard of for a minute and a half.
+    /// It has left, or was not heard of for a minute and a half.
     Gone,
 }
 

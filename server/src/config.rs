@@ -13,7 +13,7 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// Listen on an address that other machines reach, although the service has no access control.
     pub insecure_local: bool,
-    /// How long a worker may be silent before its task goes to another. Heartbeats come at a third of it.
+    /// How long a worker may be silent before its task goes to another. Heartbeats come at a third of it, or twice a second.
     pub lease_ttl: Duration,
     /// How long a job waits for a worker with the device that it demands while there are workers without. Then it fails.
     pub device_grace: Duration,

@@ -9,6 +9,8 @@ pub mod browser;
 pub mod glb;
 pub mod picture;
 pub mod process;
+pub mod proxy;
 pub mod service;
 
+pub use proxy::Proxy;
 pub use service::{Reply, Service, Worker};

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use reqwest::header::HeaderMap;
@@ -25,6 +25,26 @@ pub struct Service {
 
 /// A worker process that the service did not start.
 pub struct Worker(Child);
+
+impl Worker {
+    pub fn pid(&self) -> u32 {
+        self.0.id()
+    }
+
+    /// As the kernel does when memory runs out.
+    pub fn kill(&mut self) {
+        process::kill_tree(self.pid());
+        let _ = self.0.wait();
+    }
+
+    /// How it ended, or `None` while it runs.
+    ///
+    /// # Panics
+    /// When the system does not tell.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        self.0.try_wait().expect("the child can be asked")
+    }
+}
 
 impl Drop for Worker {
     fn drop(&mut self) {
@@ -60,8 +80,18 @@ impl Service {
 
     /// Kills the service without warning, its worker with it, and starts it again on the same data and port.
     pub fn kill_and_restart(&mut self) {
+        self.kill();
+        self.restart();
+    }
+
+    /// Kills the service without warning, its worker with it.
+    pub fn kill(&mut self) {
         process::kill_tree(self.child.id());
         let _ = self.child.wait();
+    }
+
+    /// Starts a service that was killed again, on the same data and port.
+    pub fn restart(&mut self) {
         let listen = self.url.trim_start_matches("http://").to_owned();
         let (child, url) = spawn(self.folder.path(), &listen, &self.args);
         self.child = child;
@@ -75,10 +105,18 @@ impl Service {
     /// # Panics
     /// When it cannot be started.
     pub fn join_worker(&self) -> Worker {
+        self.join_worker_through(&self.url, &self.scratch("worker"))
+    }
+
+    /// The same, with a cache of its own, and with the service at another address.
+    ///
+    /// # Panics
+    /// When it cannot be started.
+    pub fn join_worker_through(&self, url: &str, cache: &Path) -> Worker {
         let log = fs::OpenOptions::new().create(true).append(true).open(self.folder.path().join("serve.log"));
         let child = Command::new(binary::lightshaft())
-            .args(["worker", "--device", "cpu", "--server", &self.url, "--cache"])
-            .arg(self.folder.path().join("worker"))
+            .args(["worker", "--device", "cpu", "--server", url, "--cache"])
+            .arg(cache)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(log.expect("a file for the log"))

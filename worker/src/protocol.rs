@@ -1,18 +1,22 @@
 //! The worker's side of the lease protocol, as a state machine without IO.
 //!
-//! The driver feeds [`Input`]s with a monotonic clock and carries out the [`Effect`]s that come back; sockets, threads
-//! and wall clocks stay outside, so every edge of the protocol is a unit test. The table of status codes and reactions
+//! The driver feeds [`Input`]s and carries out the [`Effect`]s that come back; sockets, threads and clocks stay outside, so every edge of the protocol is a unit test. The table of status codes and reactions
 //! stands in `lightshaft_api::lease`.
 //!
 //! ```text
 //!            Registered            Leased(work)            Finished            Reported
 //! Registering ──────► Polling ────────────────► Working ───────────► Reporting ────────► Polling
-//!      ▲                 │ 404                     │ stale, expired                         ▲
-//!      └─────────────────┘                         └─► Abandoning ── Finished ──────────────┘
+//!      ▲               │   │ 404                 │ stale                                  ▲
+//!      └───────────────┼───┘                     └─► Abandoning ── Finished ──────────────┘
+//!                      └─► Parting ── its poll is answered ──► gone
 //! ```
 //!
-//! Invariants: at most one task is worked on; a lease that is stale or that may have expired is never reported on; every
-//! call may be repeated, because the service answers a repeated report with the same token in the same way.
+//! Invariants: at most one task is worked on; a lease that the service took away is never reported on; every call may be
+//! repeated, because the service answers a repeated report with the same token in the same way.
+//!
+//! Only the service knows whether a lease still holds, since the token is the fence and not the time. While it does not
+//! answer, the work goes on and heartbeats are tried again; a lease that has run out meanwhile is renewed by the first
+//! that gets through, unless the service has given the task away and says so.
 
 use std::time::Duration;
 
@@ -21,20 +25,16 @@ use lightshaft_api::lease::{Complete, Fail, HeartbeatReply, Lease, Release, Retr
 #[cfg(test)]
 mod tests;
 
-/// Time since the worker started, on a clock that never goes back.
-pub type Now = Duration;
-
 const BACKOFF_FIRST: Duration = Duration::from_millis(500);
 const BACKOFF_CAP: Duration = Duration::from_secs(30);
 /// Between an empty long poll and the next: only matters when the service answers at once.
 const POLL_PAUSE: Duration = Duration::from_millis(100);
 
-/// Heartbeats come at least this often, whatever the service asks for: they carry the progress that people watch, and
-/// their answers bring the wish to cancel.
-const LIVE_PERIOD: Duration = Duration::from_millis(500);
+/// Heartbeats come no more often than this, whatever the service asks for.
+const SHORTEST_PERIOD: Duration = Duration::from_millis(100);
 
-/// Of the time to live, what a heartbeat surely gains: the service writes a lease anew only once a sixth of it is gone.
-const SURE_SHARE: f64 = 5.0 / 6.0;
+/// How long a worker that leaves waits for the answer to its poll, which may bring a task to be given back.
+const PARTING_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Numbers the leases of one process, so that a late answer about an earlier one is recognised.
 pub type Epoch = u64;
@@ -81,11 +81,9 @@ pub enum CallError {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Timer {
-    /// Repeat the call that failed.
+    /// Repeat the call that failed, or stop waiting for one.
     Retry,
     Heartbeat,
-    /// The lease has run out unless a heartbeat got through.
-    Expiry,
 }
 
 /// What the driver is to do.
@@ -96,12 +94,18 @@ pub enum Effect {
     Poll {
         worker: String,
     },
+    /// Tell the service that this worker takes no more tasks, so that it answers the poll in flight.
+    Part {
+        worker: String,
+    },
     /// Start the executor.
     Begin(Epoch, Box<Lease>),
     Heartbeat(Epoch),
     /// Ask the executor to stop; it still answers with [`Input::Finished`].
     Stop(Epoch),
     Report(Epoch, Report),
+    /// Release the lease with this token, for which nothing was begun; answered like a report.
+    GiveBack(Epoch, String),
     /// (Re)arms a timer.
     Arm(Timer, Duration),
     Disarm(Timer),
@@ -119,7 +123,12 @@ pub enum Report {
 #[derive(Debug)]
 enum State {
     Registering,
-    Polling,
+    Polling {
+        /// The poll is under way, as against a pause between two.
+        in_flight: bool,
+    },
+    /// Leaving, but the answer to the last poll may still bring a task.
+    Parting,
     Working(Work),
     /// Work whose lease is lost: nothing is reported, only the executor's end is awaited.
     Abandoning(Epoch),
@@ -133,13 +142,14 @@ enum State {
 #[derive(Debug)]
 struct Work {
     epoch: Epoch,
-    ttl: Duration,
+    /// A third of the lease's time to live.
+    keep_alive: Duration,
+    /// Between heartbeats while the work goes on: they carry the progress, and bring the wish to cancel.
     period: Duration,
-    /// By our own clock: the last moment at which the service surely still holds the lease for us.
-    expires: Now,
-    /// When the heartbeat in flight was sent.
-    beat_sent: Option<Now>,
+    beat_in_flight: bool,
     missed_beats: u32,
+    /// Told by the service that nothing more will come.
+    told_to_drain: bool,
     /// Asked to stop, and what is to be reported then.
     stopping: Option<Report>,
 }
@@ -173,17 +183,16 @@ impl Protocol {
         matches!(self.state, State::Working(_) | State::Abandoning(_) | State::Reporting { .. })
     }
 
-    pub fn step(&mut self, now: Now, input: Input) -> Vec<Effect> {
+    pub fn step(&mut self, input: Input) -> Vec<Effect> {
         match input {
             Input::Start => vec![Effect::Register],
             Input::Registered(answer) => self.registered(answer),
-            Input::Leased(answer) => self.leased(now, answer),
-            Input::Beat(epoch, answer) => self.beat(now, epoch, answer),
+            Input::Leased(answer) => self.leased(answer),
+            Input::Beat(epoch, answer) => self.beat(epoch, answer),
             Input::Finished(epoch, outcome) => self.finished(epoch, outcome),
             Input::Reported(epoch, answer) => self.reported(epoch, answer),
             Input::Due(Timer::Retry) => self.retry(),
-            Input::Due(Timer::Heartbeat) => self.heartbeat_due(now),
-            Input::Due(Timer::Expiry) => self.expiry_due(now),
+            Input::Due(Timer::Heartbeat) => self.heartbeat_due(),
             Input::Drain => self.leave(Leaving::WhenDone),
             Input::Shutdown => self.leave(Leaving::Now),
         }
@@ -204,16 +213,18 @@ impl Protocol {
         }
     }
 
-    fn leased(&mut self, now: Now, answer: Result<Option<Box<Lease>>, CallError>) -> Vec<Effect> {
-        if !matches!(self.state, State::Polling) {
-            return vec![];
+    fn leased(&mut self, answer: Result<Option<Box<Lease>>, CallError>) -> Vec<Effect> {
+        match &mut self.state {
+            State::Polling { in_flight } => *in_flight = false,
+            State::Parting => return self.parted(answer),
+            _ => return vec![],
         }
         match answer {
             Ok(None) => {
                 self.failures = 0;
                 vec![Effect::Arm(Timer::Retry, POLL_PAUSE)]
             }
-            Ok(Some(lease)) => self.begin(now, lease),
+            Ok(Some(lease)) => self.begin(lease),
             Err(CallError::Unknown) => {
                 self.worker = None;
                 self.state = State::Registering;
@@ -224,76 +235,84 @@ impl Protocol {
         }
     }
 
-    fn begin(&mut self, now: Now, lease: Box<Lease>) -> Vec<Effect> {
-        self.failures = 0;
-        self.epoch += 1;
-        let ttl = Duration::from_secs(u64::from(lease.ttl_s.max(1)));
-        // A period that the service gets wrong must neither let the lease run out nor flood it.
-        let period =
-            Duration::try_from_secs_f64(lease.heartbeat_s).unwrap_or(LIVE_PERIOD).clamp(LIVE_PERIOD / 5, LIVE_PERIOD);
-        let epoch = self.epoch;
-        self.state = State::Working(Work {
-            epoch,
-            ttl,
-            period,
-            expires: now + ttl,
-            beat_sent: None,
-            missed_beats: 0,
-            stopping: None,
-        });
-        vec![Effect::Begin(epoch, lease), Effect::Arm(Timer::Heartbeat, period), Effect::Arm(Timer::Expiry, ttl)]
+    fn begin(&mut self, lease: Box<Lease>) -> Vec<Effect> {
+        let work = self.take_on(&lease);
+        let (epoch, period) = (work.epoch, work.period);
+        self.state = State::Working(work);
+        vec![Effect::Begin(epoch, lease), Effect::Arm(Timer::Heartbeat, period)]
     }
 
-    fn heartbeat_due(&mut self, now: Now) -> Vec<Effect> {
+    fn take_on(&mut self, lease: &Lease) -> Work {
+        self.failures = 0;
+        self.epoch += 1;
+        let keep_alive = Duration::from_secs(u64::from(lease.ttl_s.max(1))) / 3;
+        // A period that the service gets wrong must neither let the lease run out nor flood it.
+        let period = Duration::try_from_secs_f64(lease.heartbeat_s).unwrap_or(keep_alive);
+        Work {
+            epoch: self.epoch,
+            keep_alive,
+            period: period.clamp(SHORTEST_PERIOD, keep_alive),
+            beat_in_flight: false,
+            missed_beats: 0,
+            told_to_drain: false,
+            stopping: None,
+        }
+    }
+
+    /// The last poll is answered: a task that it brought goes back before anything was done for it.
+    fn parted(&mut self, answer: Result<Option<Box<Lease>>, CallError>) -> Vec<Effect> {
+        let Ok(Some(lease)) = answer else { return self.exit(None) };
+        // Nothing here is worth waiting for a service that does not answer.
+        self.leaving = Some(Leaving::Now);
+        let report = Report::Release(Release { cancelled: false });
+        let work = self.take_on(&lease);
+        let effect = Effect::GiveBack(work.epoch, lease.token);
+        self.state = State::Reporting { work, report };
+        vec![effect]
+    }
+
+    fn heartbeat_due(&mut self) -> Vec<Effect> {
         match self.work() {
-            Some(work) if work.beat_sent.is_none() => {
-                work.beat_sent = Some(now);
+            Some(work) if !work.beat_in_flight => {
+                work.beat_in_flight = true;
                 vec![Effect::Heartbeat(work.epoch)]
             }
             _ => vec![],
         }
     }
 
-    fn beat(&mut self, now: Now, epoch: Epoch, answer: Result<HeartbeatReply, CallError>) -> Vec<Effect> {
+    fn beat(&mut self, epoch: Epoch, answer: Result<HeartbeatReply, CallError>) -> Vec<Effect> {
         let jitter = self.jitter.next();
+        let is_working = matches!(self.state, State::Working(_));
         let Some(work) = self.work().filter(|work| work.epoch == epoch) else { return vec![] };
-        let sent = work.beat_sent.take().unwrap_or(now);
+        work.beat_in_flight = false;
         match answer {
             Ok(reply) => {
-                // The service counts from when it got the heartbeat, which is after we sent it.
-                work.expires = work.expires.max(sent + work.ttl.mul_f64(SURE_SHARE));
                 work.missed_beats = 0;
-                let mut effects = vec![
-                    Effect::Arm(Timer::Heartbeat, work.period),
-                    Effect::Arm(Timer::Expiry, work.expires.saturating_sub(now)),
-                ];
-                if reply.cancel && work.stopping.is_none() && matches!(self.state, State::Working(_)) {
+                if reply.drain && !work.told_to_drain {
+                    work.told_to_drain = true;
+                    tracing::info!("the service drains this worker: nothing comes after the task in hand");
+                }
+                let period = if is_working { work.period } else { work.keep_alive };
+                let mut effects = vec![Effect::Arm(Timer::Heartbeat, period)];
+                if reply.cancel && work.stopping.is_none() && is_working {
                     effects.extend(self.stop(Report::Release(Release { cancelled: true })));
                 }
-                // `reply.drain` asks for nothing: the work goes on, and the service gives nothing more until it is undone.
                 effects
             }
             Err(CallError::Unavailable { retry_after }) => {
-                let wait = backoff(work.missed_beats, jitter).min(work.ttl / 3).max(retry_after.unwrap_or_default());
-                work.missed_beats += 1;
+                let wait = backoff(work.missed_beats, jitter).min(work.keep_alive).max(retry_after.unwrap_or_default());
+                work.missed_beats = work.missed_beats.saturating_add(1);
                 vec![Effect::Arm(Timer::Heartbeat, wait)]
             }
+            // The executor has ended already, and the answer to the report is the one that counts.
+            Err(_) if !is_working => vec![Effect::Disarm(Timer::Heartbeat)],
             Err(CallError::Stale | CallError::Unknown) => self.abandon(),
             Err(CallError::Refused(why)) => {
                 let error = format!("the service refused a heartbeat: {why}");
                 work.stopping = None;
                 self.stop(Report::Fail(Fail { class: RetryClass::Task, error, fatal: false }))
             }
-        }
-    }
-
-    fn expiry_due(&mut self, now: Now) -> Vec<Effect> {
-        match &self.state {
-            State::Working(work) if now >= work.expires => self.abandon(),
-            State::Working(work) => vec![Effect::Arm(Timer::Expiry, work.expires - now)],
-            // A finished task is reported for as long as it takes: its outputs are stored already, and the token decides
-            // whether they still count.
-            _ => vec![],
         }
     }
 
@@ -308,8 +327,10 @@ impl Protocol {
                     (Outcome::Stopped, None) => Report::Release(Release { cancelled: false }),
                 };
                 self.failures = 0;
+                // Nothing of it changes any more: from now on heartbeats only keep the lease, should reporting take long.
+                let keep_alive = Effect::Arm(Timer::Heartbeat, work.keep_alive);
                 self.state = State::Reporting { work, report: report.clone() };
-                vec![Effect::Report(epoch, report)]
+                vec![Effect::Report(epoch, report), keep_alive]
             }
             State::Abandoning(abandoned) if abandoned == epoch => self.next(),
             other => {
@@ -346,7 +367,8 @@ impl Protocol {
     fn retry(&mut self) -> Vec<Effect> {
         match &self.state {
             State::Registering => vec![Effect::Register],
-            State::Polling => self.poll(),
+            State::Polling { .. } => self.poll(),
+            State::Parting => self.exit(None),
             State::Reporting { work, report } => vec![Effect::Report(work.epoch, report.clone())],
             State::Working(_) | State::Abandoning(_) | State::Gone => vec![],
         }
@@ -357,12 +379,21 @@ impl Protocol {
             self.leaving = Some(how);
         }
         match &self.state {
-            State::Registering | State::Polling => self.exit(None),
+            State::Polling { in_flight: true } => self.part(),
+            State::Registering | State::Polling { in_flight: false } => self.exit(None),
             State::Working(work) if how == Leaving::Now && work.stopping.is_none() => {
                 self.stop(Report::Release(Release { cancelled: false }))
             }
             _ => vec![],
         }
+    }
+
+    /// The poll in flight may just be bringing a task. Were its answer not waited for, that task would wait for its lease
+    /// to run out, and an attempt would be spent on nothing.
+    fn part(&mut self) -> Vec<Effect> {
+        self.state = State::Parting;
+        let worker = self.worker.clone().unwrap_or_default();
+        vec![Effect::Part { worker }, Effect::Arm(Timer::Retry, PARTING_PATIENCE)]
     }
 
     /// Asks the executor to stop; the lease is kept alive until it has.
@@ -378,14 +409,13 @@ impl Protocol {
 
     /// The lease is lost: work on it is a waste, and reporting it would be wrong.
     fn abandon(&mut self) -> Vec<Effect> {
-        let mut effects = vec![Effect::Disarm(Timer::Heartbeat), Effect::Disarm(Timer::Expiry)];
+        let mut effects = vec![Effect::Disarm(Timer::Heartbeat)];
         match std::mem::replace(&mut self.state, State::Gone) {
             State::Working(work) => {
+                tracing::warn!("the service has taken the task away: the work on it is dropped");
                 self.state = State::Abandoning(work.epoch);
                 effects.push(Effect::Stop(work.epoch));
             }
-            // The executor has ended already; the report in flight will be answered `stale`.
-            reporting @ State::Reporting { .. } => self.state = reporting,
             other => self.state = other,
         }
         effects
@@ -393,8 +423,7 @@ impl Protocol {
 
     /// Done with a lease: on to the next, or out.
     fn next(&mut self) -> Vec<Effect> {
-        let mut effects =
-            vec![Effect::Disarm(Timer::Heartbeat), Effect::Disarm(Timer::Expiry), Effect::Disarm(Timer::Retry)];
+        let mut effects = vec![Effect::Disarm(Timer::Heartbeat), Effect::Disarm(Timer::Retry)];
         self.failures = 0;
         effects.extend(if self.leaving.is_some() { self.exit(None) } else { self.poll() });
         effects
@@ -403,7 +432,7 @@ impl Protocol {
     fn poll(&mut self) -> Vec<Effect> {
         match self.worker.clone() {
             Some(worker) => {
-                self.state = State::Polling;
+                self.state = State::Polling { in_flight: true };
                 vec![Effect::Poll { worker }]
             }
             None => {

@@ -41,6 +41,13 @@ impl Client {
         self.post_json(&format!("v1/workers/{}/undrain", segment(id)), &()).await
     }
 
+    /// Says that the worker leaves: a poll of its that is waiting is answered now, and nothing is leased to it until it
+    /// registers again.
+    pub async fn part_worker(&self, id: &str) -> Result<()> {
+        let request = self.request(Method::POST, &format!("v1/workers/{}/part", segment(id)));
+        self.send(request.timeout(REPORT_TIMEOUT)).await.map(|_| ())
+    }
+
     /// Forgets a worker; refused while it holds a lease.
     pub async fn remove_worker(&self, id: &str) -> Result<()> {
         self.send(self.request(Method::DELETE, &format!("v1/workers/{}", segment(id)))).await?;

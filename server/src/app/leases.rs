@@ -23,6 +23,10 @@ use crate::queue::Millis;
 use crate::store::{Claim, Claimed, ClaimedTask, Close, Completed, LeaseState};
 use crate::web::context::traceparent;
 
+/// How often running tasks are to be heard of: people watch their progress, and a wish to cancel goes with the answer.
+/// Short leases need a heartbeat even more often, at a third of their time to live.
+const LIVE_PERIOD: Duration = Duration::from_millis(500);
+
 /// Tasks become ready by time alone, too: a waiting worker looks again this often.
 const POLL_PERIOD: Duration = Duration::from_secs(1);
 
@@ -43,6 +47,9 @@ impl App {
             if !has_told {
                 self.live.poll(&request.worker, request.cache.clone(), request.warm.clone());
                 has_told = true;
+            }
+            if self.live.has_parted(&request.worker) {
+                return Ok(None);
             }
             if offered && let Some(lease) = self.claim(&request).await? {
                 return Ok(Some(lease));
@@ -88,7 +95,7 @@ impl App {
         Ok(Lease {
             token: claim.token,
             ttl_s,
-            heartbeat_s: self.config.lease_ttl.as_secs_f64() / 3.0,
+            heartbeat_s: LIVE_PERIOD.min(self.config.lease_ttl / 3).as_secs_f64(),
             expires_at: timestamp(claim.expires_at)?,
             job: task.job,
             task: task.task,
@@ -280,7 +287,10 @@ impl App {
     async fn held(&self, token: &str, ended: Code) -> ApiResult<LeaseState> {
         let state = self.known(token).await?;
         if state.outcome != AttemptOutcome::Running {
-            counter!("lightshaft_fenced_reports_total").increment(1);
+            // A heartbeat that its own worker's report has overtaken is none of somebody who lost the lease.
+            if state.outcome == AttemptOutcome::Expired {
+                counter!("lightshaft_fenced_reports_total").increment(1);
+            }
             return Err(lease_ended(ended));
         }
         Ok(state)

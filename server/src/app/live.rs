@@ -32,6 +32,8 @@ pub(super) struct LiveWorker {
     flushed_at: Millis,
     pub(super) cache: CacheStatus,
     pub(super) warm: Vec<String>,
+    /// It said that it leaves, and has not registered again.
+    pub(super) parted: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -71,6 +73,14 @@ impl Live {
         let live = state.workers.entry(worker.to_owned()).or_default();
         live.cache = cache;
         live.warm = warm;
+    }
+
+    pub(super) fn set_parted(&self, worker: &str, parted: bool) {
+        self.lock().workers.entry(worker.to_owned()).or_default().parted = parted;
+    }
+
+    pub(super) fn has_parted(&self, worker: &str) -> bool {
+        self.lock().workers.get(worker).is_some_and(|live| live.parted)
     }
 
     pub(super) fn forget_worker(&self, worker: &str) {

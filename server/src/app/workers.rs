@@ -20,6 +20,7 @@ impl App {
         let id = worker.id.clone().unwrap_or_else(|| Uuid::now_v7().to_string());
         let lost = self.store.register_worker(&id, worker, self.now()).await?;
         self.live.seen(&id, self.now());
+        self.live.set_parted(&id, false);
         for expired in lost {
             tracing::warn!(
                 worker.id = %id, job.id = %expired.job, task.id = %expired.task,
@@ -48,12 +49,12 @@ impl App {
     }
 
     fn add_live(&self, mut worker: Worker) -> Worker {
-        let LiveWorker { seen_at, cache, .. } = self.live.worker(&worker.id).unwrap_or_default();
+        let LiveWorker { seen_at, cache, parted, .. } = self.live.worker(&worker.id).unwrap_or_default();
         if let Ok(seen_at) = jiff::Timestamp::from_millisecond(seen_at) {
             worker.last_seen_at = worker.last_seen_at.max(seen_at);
         }
         worker.cache = cache;
-        if self.now() - worker.last_seen_at.as_millisecond() > GONE_AFTER_MS {
+        if parted || self.now() - worker.last_seen_at.as_millisecond() > GONE_AFTER_MS {
             worker.state = WorkerState::Gone;
         }
         worker
@@ -65,6 +66,18 @@ impl App {
         }
         self.changed();
         self.worker(id).await
+    }
+
+    /// The worker leaves. A poll of its that is waiting ends without a task; one that has just got a task brings it, and
+    /// the worker gives it back.
+    pub async fn part_worker(&self, id: &str) -> ApiResult<()> {
+        if self.store.worker(id).await?.is_none() {
+            return Err(ApiError::not_found("worker", id));
+        }
+        tracing::info!(worker.id = %id, "worker leaves");
+        self.live.set_parted(id, true);
+        self.changed();
+        Ok(())
     }
 
     pub async fn remove_worker(&self, id: &str) -> ApiResult<()> {

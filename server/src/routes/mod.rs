@@ -78,6 +78,7 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(workers::get_worker, workers::remove_worker))
         .routes(routes!(workers::drain_worker))
         .routes(routes!(workers::undrain_worker))
+        .routes(routes!(workers::part_worker))
         .routes(routes!(leases::lease_task))
         .routes(routes!(leases::heartbeat))
         .routes(routes!(leases::append_log))

@@ -74,6 +74,20 @@ pub(super) async fn undrain_worker(State(app): State<Shared>, Id(id): Id) -> Api
     Ok(Reply(app.set_draining(&id, false).await?))
 }
 
+/// A worker says that it leaves: a poll of its that is waiting is answered now, and it gets nothing more until it
+/// registers again.
+#[utoipa::path(
+    post, path = "/v1/workers/{id}/part", tag = "workers", params(("id" = String, Path, description = "The worker")),
+    responses(
+        (status = 204, description = "Noted"),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn part_worker(State(app): State<Shared>, Id(id): Id) -> ApiResult<StatusCode> {
+    app.part_worker(&id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
 /// Forgets a worker; 409 while it holds a lease.
 #[utoipa::path(
     delete, path = "/v1/workers/{id}", tag = "workers", params(("id" = String, Path, description = "The worker")),

@@ -1,12 +1,14 @@
 //! `/v1/workers` and `/v1/meshes`
 
+use std::time::{Duration, Instant};
+
 use http::StatusCode;
 use lightshaft_api::mesh::Mesh;
 use lightshaft_api::page::Page;
 use lightshaft_api::worker::{Worker, WorkerState};
 use serde_json::{Value, json};
 
-use crate::harness::{Service, new_worker};
+use crate::harness::{Service, lease_request, new_worker};
 
 #[tokio::test]
 async fn workers_come_work_drain_and_go() {
@@ -114,4 +116,38 @@ async fn nothing_is_kept_of_a_worker_that_there_is_not() {
     assert_eq!((poll(&worker).await, warm().await), (StatusCode::NO_CONTENT, vec![worker.clone()]));
     service.delete(&format!("/v1/workers/{worker}")).await;
     assert_eq!((poll(&worker).await, warm().await), (StatusCode::NOT_FOUND, Vec::new()));
+}
+
+#[tokio::test]
+async fn a_worker_that_leaves_has_its_poll_answered_and_gets_nothing_until_it_is_back() {
+    let service = Service::start().await;
+    let client = service.listen().await;
+    let scene = service.scene(0).await;
+    let id = service.worker(&["cpu"]).await;
+    let (poller, request) = (client.clone(), lease_request(&id, 20));
+    let asked = Instant::now();
+    let poll = tokio::spawn(async move { poller.lease(&request).await.unwrap() });
+    tokio::time::sleep(Duration::from_millis(50)).await;
+    client.part_worker(&id).await.unwrap();
+    assert!(poll.await.unwrap().is_none() && asked.elapsed() < Duration::from_secs(10), "{:?}", asked.elapsed());
+    assert_eq!(client.worker(&id).await.unwrap().state, WorkerState::Gone);
+
+    service.job(json!({ "scene": scene })).await;
+    assert!(service.lease(&id).await.is_none());
+    let mut again = new_worker(&["cpu"]);
+    again.id = Some(id.clone());
+    client.register_worker(&again).await.unwrap();
+    assert!(service.lease(&id).await.is_some());
+    assert_eq!(client.part_worker("nobody").await.unwrap_err().status(), Some(404));
+}
+
+#[tokio::test]
+async fn heartbeats_are_asked_for_twice_a_second_and_at_least_thrice_a_lease() {
+    for (ttl, period) in [(60_000, 0.5), (900, 0.3)] {
+        let service = Service::start_with(|config| config.lease_ttl = Duration::from_millis(ttl)).await;
+        let scene = service.scene(0).await;
+        let id = service.worker(&["cpu"]).await;
+        service.job(json!({ "scene": scene })).await;
+        assert_eq!(service.lease(&id).await.unwrap().heartbeat_s, period);
+    }
 }

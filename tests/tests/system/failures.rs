@@ -135,7 +135,7 @@ async fn a_service_that_is_told_to_stop_takes_its_worker_along() {
 const SHORT_LEASES: &[&str] = &["--lease-ttl-s", "2"];
 
 /// Waits until a job's first samples are there.
-async fn rendering(service: &Service, id: &str) {
+pub(crate) async fn rendering(service: &Service, id: &str) {
     service
         .until("the job to render", async || {
             let job = service.job(id).await;
@@ -155,12 +155,12 @@ fn no_metrics() -> Value {
     })
 }
 
-fn outcomes(job: &Value) -> Vec<String> {
+pub(crate) fn outcomes(job: &Value) -> Vec<String> {
     let attempts = job["attempts"].as_array().expect("a list of attempts");
     attempts.iter().map(|attempt| attempt["outcome"].as_str().unwrap_or_default().to_owned()).collect()
 }
 
-async fn assert_one_picture(service: &Service, job: &Value) {
+pub(crate) async fn assert_one_picture(service: &Service, job: &Value) {
     let names: Vec<&str> = job["artifacts"].as_array().unwrap().iter().filter_map(|a| a["name"].as_str()).collect();
     assert_eq!(names.iter().filter(|name| **name == "image.png").count(), 1, "{names:?}");
     assert!(picture::shows_something(&picture::png(&service.artifact(job, "image.png").await)));

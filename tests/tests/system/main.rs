@@ -9,4 +9,5 @@ mod documentation;
 mod failures;
 mod http;
 mod jobs;
+mod outages;
 mod scenes;

@@ -17,7 +17,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use lightshaft_api::client::{Client, ClientError};
-use lightshaft_api::lease::{Heartbeat, LeaseRequest};
+use lightshaft_api::lease::{Heartbeat, LeaseRequest, Release};
 use lightshaft_api::settings::DeviceChoice;
 use lightshaft_api::worker::{CacheStatus, NewWorker};
 use lightshaft_engine::scene::Limits;
@@ -97,13 +97,12 @@ pub async fn run(config: WorkerConfig) -> Result<(), WorkerError> {
     let mut driver = Driver::new(config).await?;
     let (sender, mut inputs) = mpsc::unbounded_channel();
     let mut orders = Orders::new(driver.config.supervised, driver.config.drain_timeout);
-    let started = Instant::now();
     let mut protocol = Protocol::new(uuid::Uuid::new_v4().as_u64_pair().0);
     let mut leave_by: Option<Instant> = None;
     let mut next = Some(Input::Start);
     loop {
         if let Some(input) = next.take() {
-            for effect in protocol.step(started.elapsed(), input) {
+            for effect in protocol.step(input) {
                 if let Effect::Exit(error) = effect {
                     return error.map_or(Ok(()), |why| Err(WorkerError::Refused(why)));
                 }
@@ -182,6 +181,7 @@ impl Driver {
         match effect {
             Effect::Register => self.register(sender.clone()),
             Effect::Poll { worker } => self.poll(worker, sender.clone()),
+            Effect::Part { worker } => self.part(worker),
             Effect::Begin(epoch, lease) => {
                 let worker = self.identity.id().unwrap_or_default();
                 let running = Running::start(epoch, lease, &worker, &self.client, &self.executor, &self.blobs, sender);
@@ -194,6 +194,10 @@ impl Driver {
                 }
             }
             Effect::Report(epoch, report) => self.report(epoch, report, sender.clone()),
+            Effect::GiveBack(epoch, token) => {
+                let release = Report::Release(Release { cancelled: false });
+                send_report(self.client.clone(), epoch, token, release, sender.clone());
+            }
             Effect::Arm(timer, after) => {
                 self.timers.insert(timer, Instant::now() + after);
             }
@@ -251,29 +255,47 @@ impl Driver {
         let client = running.client.clone();
         let token = running.token.clone();
         let live = Arc::clone(&running.live);
+        let patience = running.beat_patience;
         tokio::spawn(async move {
             let (progress, preview) = live.snapshot();
             let heartbeat =
                 Heartbeat { phase: progress.phase, progress: progress.fraction, preview, spp: progress.spp };
-            let answer = client.heartbeat(&token, &heartbeat).await.map_err(|error| call_error("heartbeat", &error));
+            // One lost packet must not keep the next try from getting through in time.
+            let answer = match tokio::time::timeout(patience, client.heartbeat(&token, &heartbeat)).await {
+                Ok(answer) => answer.map_err(|error| call_error("heartbeat", &error)),
+                Err(_) => Err(CallError::Unavailable { retry_after: None }),
+            };
             let _ = sender.send(Input::Beat(epoch, answer));
         });
     }
 
     fn report(&self, epoch: u64, report: Report, sender: UnboundedSender<Input>) {
-        let Some(running) = &self.running else { return };
-        let client = running.client.clone();
-        let token = running.token.clone();
+        if let Some(running) = &self.running {
+            send_report(running.client.clone(), epoch, running.token.clone(), report, sender);
+        }
+    }
+
+    /// Best effort: a service that does not hear it answers the poll all the same, only later.
+    fn part(&self, worker: String) {
+        let client = self.client.clone();
         tokio::spawn(async move {
-            let (name, answer) = match &report {
-                Report::Complete(complete) => ("complete", client.complete(&token, complete).await),
-                Report::Fail(fail) => ("fail", client.fail(&token, fail).await),
-                Report::Release(release) => ("release", client.release(&token, release).await),
-            };
-            let answer = answer.map(|_| ()).map_err(|error| call_error(name, &error));
-            let _ = sender.send(Input::Reported(epoch, answer));
+            if let Err(error) = client.part_worker(&worker).await {
+                call_error("part", &error);
+            }
         });
     }
+}
+
+fn send_report(client: Client, epoch: u64, token: String, report: Report, sender: UnboundedSender<Input>) {
+    tokio::spawn(async move {
+        let (name, answer) = match &report {
+            Report::Complete(complete) => ("complete", client.complete(&token, complete).await),
+            Report::Fail(fail) => ("fail", client.fail(&token, fail).await),
+            Report::Release(release) => ("release", client.release(&token, release).await),
+        };
+        let answer = answer.map(|_| ()).map_err(|error| call_error(name, &error));
+        let _ = sender.send(Input::Reported(epoch, answer));
+    });
 }
 
 /// What an error means to the protocol. The address stays out of messages: that of a lease holds its secret token.
@@ -294,7 +316,7 @@ fn call_error(call: &'static str, error: &ClientError) -> CallError {
     };
     match &reaction {
         CallError::Unavailable { .. } => tracing::warn!(call, status = error.status(), "no good answer; trying again"),
-        CallError::Stale => tracing::warn!(call, "the lease is stale: the work is dropped"),
+        CallError::Stale => tracing::info!(call, "the lease has ended"),
         CallError::Unknown => tracing::warn!(call, "unknown to the service"),
         CallError::Refused(why) => tracing::error!(call, why, "refused"),
     }

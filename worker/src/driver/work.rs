@@ -22,6 +22,8 @@ const UPLOAD_PAUSE: Duration = Duration::from_secs(1);
 
 const MAX_ERROR_CHARS: usize = 4000;
 
+const SHORTEST_BEAT_PATIENCE: Duration = Duration::from_secs(2);
+
 /// How long a task's end waits for its last log lines to arrive.
 const LOG_PATIENCE: Duration = Duration::from_secs(3);
 
@@ -30,6 +32,8 @@ pub(super) struct Running {
     pub(super) epoch: Epoch,
     /// The fence: must not get into logs.
     pub(super) token: String,
+    /// How long a heartbeat may wait for its answer.
+    pub(super) beat_patience: Duration,
     /// Carries on the trace of the job.
     pub(super) client: Client,
     pub(super) live: Arc<Live>,
@@ -59,6 +63,7 @@ impl Running {
             trace.id = lease.traceparent.split('-').nth(1).unwrap_or_default(),
         );
         let token = lease.token.clone();
+        let beat_patience = Duration::from_secs(lease.ttl_s.into()).max(SHORTEST_BEAT_PATIENCE) / 2;
         let work = Work {
             lease: Arc::from(lease),
             client: client.clone(),
@@ -75,7 +80,7 @@ impl Running {
             }
             .instrument(span),
         );
-        Self { epoch, token, client, live, stop }
+        Self { epoch, token, beat_patience, client, live, stop }
     }
 }
 
