@@ -364,6 +364,9 @@ pub struct Metrics {
     #[serde(default)]
     pub structure_nodes: u64,
     pub line_space_bytes: u64,
+    /// What Line Spaces were asked and answered; null in a job without.
+    #[serde(default)]
+    pub line_space: Option<LineSpaceUse>,
     /// Highest resident memory of the worker process.
     pub peak_bytes: u64,
     pub device: String,
@@ -396,6 +399,10 @@ impl Metrics {
         self.structure_bytes = self.structure_bytes.max(other.structure_bytes);
         self.structure_nodes = self.structure_nodes.max(other.structure_nodes);
         self.line_space_bytes = self.line_space_bytes.max(other.line_space_bytes);
+        self.line_space = match (self.line_space, other.line_space) {
+            (Some(a), Some(b)) => Some(a.joined(b)),
+            (a, b) => a.or(b),
+        };
         self.peak_bytes = self.peak_bytes.max(other.peak_bytes);
         join_distinct(&mut self.device, &other.device);
         join_distinct(&mut self.device_kind, &other.device_kind);
@@ -409,6 +416,45 @@ impl Metrics {
             if !self.warnings.contains(warning) {
                 self.warnings.push(warning.clone());
             }
+        }
+    }
+}
+
+/// Of a job with Line Spaces. One ray may ask those of several meshes, and counts each time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LineSpaceUse {
+    /// Meshes that have one.
+    pub meshes: u64,
+    /// Rays that asked: the sum of those below.
+    pub rays: u64,
+    /// Whose line passes the mesh's box by.
+    pub beside: u64,
+    /// Whose shaft is empty: the mesh was skipped.
+    pub empty: u64,
+    /// Whose shaft is blocked throughout; an occlusion ray that crosses the whole box was answered.
+    pub opaque: u64,
+    /// Of whose shaft nothing is certain: the structure was walked.
+    pub mixed: u64,
+    /// That start too far away for single precision: the structure was walked.
+    pub too_far: u64,
+}
+
+impl LineSpaceUse {
+    /// Rays that need not look at the mesh, of those that asked.
+    pub fn answered_percent(&self) -> f64 {
+        if self.rays == 0 { 0.0 } else { 100.0 * (self.beside + self.empty + self.opaque) as f64 / self.rays as f64 }
+    }
+
+    /// Of two tasks of one job, or two passes of one task.
+    pub fn joined(self, other: Self) -> Self {
+        Self {
+            meshes: self.meshes.max(other.meshes),
+            rays: self.rays + other.rays,
+            beside: self.beside + other.beside,
+            empty: self.empty + other.empty,
+            opaque: self.opaque + other.opaque,
+            mixed: self.mixed + other.mixed,
+            too_far: self.too_far + other.too_far,
         }
     }
 }

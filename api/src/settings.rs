@@ -1,10 +1,13 @@
 //! Settings of a render job. Every field has a default; unknown fields are refused.
 
 mod choice;
+mod line_space;
 mod validate;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+
+pub use line_space::{BouncePolicy, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -253,6 +256,10 @@ pub struct Acceleration {
     /// Of `grid`, `octree` and `ntree`: a structure that would need more is refused; 1048576 (1 MiB) and more, 4 GiB when
     /// null.
     pub budget_bytes: Option<u64>,
+    /// Of `two_level`, on the CPU: what is known of the lines through each mesh; null for nothing.
+    pub line_space: Option<LineSpace>,
+    /// What `line_space` is used for.
+    pub policy: Policy,
 }
 
 impl Default for Acceleration {
@@ -267,6 +274,8 @@ impl Default for Acceleration {
             cells_per_primitive: None,
             resolution: None,
             budget_bytes: None,
+            line_space: None,
+            policy: Policy::Exact,
         }
     }
 }

@@ -1,68 +1,20 @@
 //! From a job's settings to the engine's: choices that need the scene are made here.
 
+mod acceleration;
+
 use std::sync::Arc;
 
 use glam::Vec3;
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::settings as api;
-use lightshaft_engine::accel::{
-    BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Quality, StructureParams,
-};
 use lightshaft_engine::film::ToneMap;
 use lightshaft_engine::scene::{self, Camera, Material, Projection, PunctualKind, PunctualLight, Scene};
 use lightshaft_engine::settings::{self as engine, Aov, HdrImage};
 
+pub use acceleration::{LineSpaces, Structures, Wanted};
+
 /// Vertical field of view of a camera that does not say its own.
 const DEFAULT_FOV_Y_DEG: f32 = 40.0;
-
-/// What a structure of cells may take when the job does not say.
-const DEFAULT_BUDGET_BYTES: u64 = 4 << 30;
-
-/// What is built, and over what.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Structures {
-    /// One for each mesh, under a top level.
-    PerMesh(StructureParams),
-    /// One over all instances in world space.
-    Flat(StructureParams),
-}
-
-impl Structures {
-    pub fn of(acceleration: &api::Acceleration) -> Self {
-        let budget_bytes = acceleration.budget_bytes.unwrap_or(DEFAULT_BUDGET_BYTES);
-        let max_leaf = acceleration.max_leaf.unwrap_or(8);
-        match acceleration.structure {
-            api::StructureKind::TwoLevel => Self::PerMesh(bvh(acceleration).into()),
-            api::StructureKind::Bvh => Self::Flat(bvh(acceleration).into()),
-            api::StructureKind::Grid => {
-                let resolution = match acceleration.resolution {
-                    Some(cells) => GridResolution::LongestAxis(cells),
-                    None => GridResolution::PerPrimitive(acceleration.cells_per_primitive.unwrap_or(4)),
-                };
-                Self::Flat(StructureParams::Grid(GridParams { resolution, budget_bytes }))
-            }
-            api::StructureKind::Octree => {
-                let depth = acceleration.depth.unwrap_or(12);
-                Self::Flat(StructureParams::Octree(OctreeParams { depth, max_leaf, budget_bytes }))
-            }
-            api::StructureKind::NTree => {
-                let (n, depth) = (acceleration.n.unwrap_or(6), acceleration.depth.unwrap_or(3));
-                Self::Flat(StructureParams::NTree(NTreeParams { n, depth, max_leaf, budget_bytes }))
-            }
-        }
-    }
-}
-
-fn bvh(acceleration: &api::Acceleration) -> BuildParams {
-    BuildParams {
-        quality: match acceleration.quality {
-            api::BuildQuality::Fast => Quality::Fast,
-            api::BuildQuality::Medium => Quality::Medium,
-            api::BuildQuality::High => Quality::High,
-        },
-        spatial_splits: acceleration.spatial_splits,
-    }
-}
 
 /// Everything that a picture needs. `map` is the decoded environment map, when the settings name one.
 ///

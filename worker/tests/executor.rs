@@ -7,10 +7,11 @@ use std::time::{Duration, Instant};
 use lightshaft_api::job::{CacheSource, Metrics, Phase, TaskWork};
 use lightshaft_api::lease::RetryClass;
 use lightshaft_api::settings::{
-    Acceleration, AovName, CameraChoice, DeviceChoice, Environment, EnvironmentMap, RenderSettings, StructureKind,
+    Acceleration, AovName, CameraChoice, DeviceChoice, Environment, EnvironmentMap, Integrator, LineSpace,
+    LineSpaceBuilder, LineSpacePayload, OnOverBudget, RenderSettings, StructureKind,
 };
 use lightshaft_engine::film::{encode_exr, read_environment};
-use lightshaft_engine::scene::{Limits, Params, Source, generate};
+use lightshaft_engine::scene::{KINDS, Limits, Params, Source, generate};
 use lightshaft_worker::cache::{StructureCache, StructureStore};
 use lightshaft_worker::executor::{
     Artifact, Budgets, Devices, Executor, Inputs, Observer, Outputs, Progress, TaskError,
@@ -20,12 +21,21 @@ use lightshaft_worker::executor::{
 struct Generated {
     kind: &'static str,
     opened: AtomicUsize,
+    params: Params,
     map: Vec<u8>,
     parts: Vec<(TaskWork, Vec<u8>)>,
 }
 
 fn generated(kind: &'static str) -> Generated {
-    Generated { kind, opened: AtomicUsize::new(0), map: Vec::new(), parts: Vec::new() }
+    Generated { kind, opened: AtomicUsize::new(0), params: Params::default(), map: Vec::new(), parts: Vec::new() }
+}
+
+/// Few triangles and few objects, where the kind lets us choose.
+fn small_scene(kind: &'static str) -> Generated {
+    let known = KINDS.iter().find(|known| known.name == kind).expect("a kind");
+    let choose = |default: u32, value: u32| (default > 0).then_some(value);
+    let (triangles, count) = (choose(known.default_triangles, 600), choose(known.default_count, 12));
+    Generated { params: Params { triangles, count, ..Params::default() }, ..generated(kind) }
 }
 
 impl Inputs for Generated {
@@ -39,7 +49,7 @@ impl Inputs for Generated {
 
     fn open_scene(&self, limits: &Limits) -> Result<Source, TaskError> {
         self.opened.fetch_add(1, Ordering::Relaxed);
-        let glb = generate(self.kind, &Params::default()).unwrap();
+        let glb = generate(self.kind, &self.params).unwrap();
         Source::from_bytes("scene.glb", glb, limits).map_err(|error| TaskError::bad_input(error.to_string()))
     }
 
@@ -297,4 +307,103 @@ fn a_structure_over_its_budget_is_bad_input_that_names_the_figure() {
     let (class, fatal, message) = fails(&RenderSettings { acceleration, ..small() });
     assert_eq!((class, fatal), (RetryClass::Task, true));
     assert!(message.contains("/settings/acceleration") && message.contains("1048576"), "{message}");
+}
+
+fn with_line_space(line_space: LineSpace) -> RenderSettings {
+    let acceleration = Acceleration { line_space: Some(line_space), ..Acceleration::default() };
+    RenderSettings { width: 24, height: 18, spp: 2, acceleration, ..RenderSettings::default() }
+}
+
+/// Every payload that can be asked for, coarse.
+fn payloads() -> Vec<LineSpace> {
+    let payload = |payload, n| LineSpace { payload, n: Some(n), ..LineSpace::default() };
+    let binary = |builder| LineSpace { builder: Some(builder), ..payload(LineSpacePayload::Binary, 4) };
+    let classes = |n, hierarchical| LineSpace {
+        hierarchical: Some(hierarchical),
+        resolution: Some(32),
+        ..payload(LineSpacePayload::TriState, n)
+    };
+    vec![
+        classes(8, true),
+        classes(6, false),
+        binary(LineSpaceBuilder::Mask),
+        binary(LineSpaceBuilder::Clip),
+        binary(LineSpaceBuilder::RayCast),
+        payload(LineSpacePayload::Candidate, 3),
+        LineSpace { bits: Some(4), rays: Some(4), ..payload(LineSpacePayload::Coverage, 4) },
+    ]
+}
+
+#[test]
+fn with_exact_every_payload_gives_the_picture_of_the_structure_alone_on_every_scene() {
+    let executor = executor();
+    let mut answered = 0;
+    for kind in KINDS.iter().map(|kind| kind.name) {
+        let inputs = small_scene(kind);
+        for integrator in [Integrator::Path, Integrator::Ao] {
+            let plain = RenderSettings {
+                acceleration: Acceleration::default(),
+                integrator,
+                ..with_line_space(LineSpace::default())
+            };
+            let expected = run(&executor, &TaskWork::Frame, &plain, &inputs);
+            assert_eq!((expected.metrics.line_space_bytes, expected.metrics.line_space), (0, None));
+            for line_space in payloads() {
+                let settings = RenderSettings { integrator, ..with_line_space(line_space.clone()) };
+                let outputs = run(&executor, &TaskWork::Frame, &settings, &inputs);
+                assert!(pixels(&outputs) == pixels(&expected), "{kind}: {line_space:?} changes the picture");
+                let used = outputs.metrics.line_space.expect("a job with line spaces");
+                answered += used.empty + used.opaque;
+                assert_eq!(used.rays, used.beside + used.empty + used.opaque + used.mixed + used.too_far);
+                assert_eq!(used.meshes > 0, outputs.metrics.line_space_bytes > 0);
+                assert_eq!(outputs.metrics.structure_bytes, expected.metrics.structure_bytes, "told apart");
+            }
+        }
+    }
+    assert!(answered > 10_000, "only {answered} rays were answered: the test says little");
+}
+
+#[test]
+fn a_second_job_finds_every_line_space() {
+    let (executor, inputs) = (executor(), small_scene("forest"));
+    let settings = with_line_space(LineSpace::default());
+    let first = run(&executor, &TaskWork::Frame, &settings, &inputs);
+    let spaces = |outputs: &Outputs| -> Vec<_> {
+        let reports = outputs.metrics.cache.iter().filter(|report| report.structure.starts_with("line_space "));
+        reports.map(|report| (report.mesh.clone(), report.source, report.bytes)).collect()
+    };
+    assert!(!spaces(&first).is_empty() && spaces(&first).iter().all(|(_, source, _)| *source == CacheSource::Built));
+    assert_eq!(spaces(&first).iter().map(|(_, _, bytes)| bytes).sum::<u64>(), first.metrics.line_space_bytes);
+    // Another view has to pack the scene anew.
+    let second = run(&executor, &TaskWork::Frame, &RenderSettings { width: 25, ..settings }, &inputs);
+    assert!(second.metrics.cache.iter().all(|report| report.source == CacheSource::Memory));
+    assert_eq!(spaces(&second).len(), spaces(&first).len());
+}
+
+#[test]
+fn line_spaces_keep_to_their_budgets() {
+    let (executor, inputs) = (executor(), small_scene("forest"));
+    let with = |mesh_budget_bytes, job_budget_bytes, on_over_budget| {
+        let line_space = LineSpace { mesh_budget_bytes, job_budget_bytes, on_over_budget, ..LineSpace::default() };
+        let settings = with_line_space(line_space);
+        executor.run(&TaskWork::Frame, &settings, &inputs, &Recorder::default(), &AtomicBool::new(false))
+    };
+    let refused = |result: Result<Outputs, TaskError>, field: &str| match result {
+        Err(TaskError::Failed { class: RetryClass::Task, fatal: true, message }) => {
+            assert!(message.starts_with(&format!("/settings/acceleration/line_space/{field}: n=16")), "{message}");
+        }
+        other => panic!("expected a refusal, got {:?}", other.map(|outputs| outputs.metrics.line_space_bytes)),
+    };
+    refused(with(Some(5000), None, OnOverBudget::Refuse), "mesh_budget_bytes");
+    refused(with(None, Some(5000), OnOverBudget::Refuse), "job_budget_bytes");
+    let whole = with(None, None, OnOverBudget::Refuse).unwrap().metrics;
+    let shrunk = with(Some(5000), None, OnOverBudget::Shrink).unwrap().metrics;
+    assert!(shrunk.line_space_bytes > 0 && shrunk.line_space_bytes < whole.line_space_bytes);
+    assert!(shrunk.warnings.iter().any(|warning| warning.contains("n = 4, not 16")), "{:?}", shrunk.warnings);
+    let budget = whole.line_space_bytes - 1;
+    let skipped = with(None, Some(budget), OnOverBudget::Skip).unwrap().metrics;
+    assert!((1..=budget).contains(&skipped.line_space_bytes), "{} of {budget}", skipped.line_space_bytes);
+    assert_eq!(skipped.line_space.unwrap().meshes, whole.line_space.unwrap().meshes - 1);
+    let none = with(Some(2000), None, OnOverBudget::Skip).unwrap().metrics;
+    assert!(none.line_space_bytes == 0 && none.warnings[0].contains("no mesh has a line space"), "{:?}", none.warnings);
 }

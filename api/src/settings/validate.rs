@@ -17,13 +17,13 @@ const MIN_BUDGET_BYTES: u64 = 1 << 20;
 const MAX_LIGHTS: usize = 1024;
 
 /// Collects what is wrong under one JSON pointer.
-struct Checker<'a> {
-    prefix: &'a str,
-    errors: &'a mut Vec<FieldError>,
+pub(super) struct Checker<'a> {
+    pub(super) prefix: &'a str,
+    pub(super) errors: &'a mut Vec<FieldError>,
 }
 
 impl Checker<'_> {
-    fn check(&mut self, ok: bool, field: &str, detail: &str) {
+    pub(super) fn check(&mut self, ok: bool, field: &str, detail: &str) {
         if !ok {
             self.errors.push(FieldError::new(format!("{}/{field}", self.prefix), detail));
         }
@@ -83,7 +83,9 @@ impl RenderSettings {
             "acceleration/structure",
             "must be two_level on device gpu: the others are walked by the CPU",
         );
-        self.acceleration.validate(&format!("{prefix}/acceleration"), &mut errors);
+        let of_acceleration = format!("{prefix}/acceleration");
+        self.acceleration.validate(&of_acceleration, &mut errors);
+        self.acceleration.validate_line_space(self.device, &of_acceleration, &mut errors);
         if let Some(environment) = &self.environment {
             environment.validate(&format!("{prefix}/environment"), &mut errors);
         }

@@ -196,8 +196,12 @@ fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
 
 fn report(files: &[PathBuf], metrics: &Metrics) -> Result<()> {
     let names: Vec<String> = files.iter().map(|path| path.display().to_string()).collect();
+    let line_spaces = match metrics.line_space_bytes {
+        0 => String::new(),
+        bytes => format!(", {} of line spaces", output::bytes(bytes)),
+    };
     output::print(&format!(
-        "{}: {} spp on {} in {:.2} s (scene {:.2}, structures {:.2}, render {:.2}), {:.2} MRays/s, {} of structures\n",
+        "{}: {} spp on {} in {:.2} s (scene {:.2}, structures {:.2}, render {:.2}), {:.2} MRays/s, {} of structures{line_spaces}\n",
         names.join(", "),
         metrics.spp,
         metrics.device,

@@ -54,9 +54,12 @@ pub(crate) struct SettingsArgs {
     /// A grey radiance, a colour `r,g,b`, or an equirectangular .hdr or .exr.
     #[arg(long, value_name = "C|R,G,B|FILE")]
     environment: Option<String>,
-    /// Structure and its parameters.
+    /// Structure, Line Space and policy with their parameters.
     #[arg(long, value_name = "JSON")]
     acceleration: Option<String>,
+    /// Payload of a Line Space for each mesh: tri_state, binary, candidate or coverage; or a JSON object with its parameters.
+    #[arg(long, value_name = "PAYLOAD|JSON")]
+    line_space: Option<String>,
     /// pbr_neutral, agx or none.
     #[arg(long)]
     tone_map: Option<String>,
@@ -121,6 +124,14 @@ impl SettingsArgs {
         put("aovs", (!self.aovs.is_empty()).then(|| json!(self.aovs)));
         put("camera", self.camera.as_deref().map(camera).transpose()?);
         put("acceleration", self.acceleration.as_deref().map(|text| parse("--acceleration", text)).transpose()?);
+        if let Some(text) = &self.line_space {
+            let line_space = line_space(text)?;
+            let acceleration = json.entry("acceleration").or_insert_with(|| json!({}));
+            let Some(acceleration) = acceleration.as_object_mut() else {
+                return Err(CliError::usage("--line-space: acceleration is no object"));
+            };
+            acceleration.insert("line_space".to_owned(), line_space);
+        }
         Ok(())
     }
 
@@ -184,6 +195,10 @@ fn camera(text: &str) -> Result<Value> {
     Ok(text.parse::<u32>().map_or_else(|_| Value::from(text), Value::from))
 }
 
+fn line_space(text: &str) -> Result<Value> {
+    if text.trim_start().starts_with('{') { parse("--line-space", text) } else { Ok(json!({ "payload": text })) }
+}
+
 fn parse(option: &str, text: &str) -> Result<Value> {
     serde_json::from_str(text).map_err(|error| CliError::usage(format!("{option}: not JSON: {error}")))
 }
@@ -215,7 +230,7 @@ fn put_setting(json: &mut Map<String, Value>, assignment: &str) -> Result<()> {
 mod tests {
     use super::*;
     use clap::Parser;
-    use lightshaft_api::settings::{CameraChoice, Environment, Integrator, Split};
+    use lightshaft_api::settings::{BuildQuality, CameraChoice, Environment, Integrator, LineSpacePayload, Split};
 
     #[derive(Parser)]
     struct Line {
@@ -264,6 +279,16 @@ mod tests {
         assert_eq!(s.width, 32);
         assert_eq!(s.ground.unwrap().height, Some(-1.0));
         assert_eq!(s.split, Some(Split::Tiles([2, 2])));
+    }
+
+    #[test]
+    fn a_line_space_is_a_payload_or_an_object_and_goes_with_the_structure() {
+        let chosen = settings(r#"--line-space binary --acceleration {"quality":"high"}"#).acceleration;
+        assert_eq!(chosen.quality, BuildQuality::High);
+        assert_eq!(chosen.line_space.unwrap().payload, LineSpacePayload::Binary);
+        assert_eq!(settings(r#"--line-space {"n":8}"#).acceleration.line_space.unwrap().n, Some(8));
+        assert!(error("--line-space soup").contains("soup"));
+        assert!(error("--line-space tri_state --device gpu").contains("must be null on device gpu"));
     }
 
     #[test]

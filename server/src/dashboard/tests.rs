@@ -7,7 +7,9 @@ use std::collections::BTreeSet;
 use axum::body::Body;
 use axum::http::{HeaderMap, Request, StatusCode, header};
 use jiff::Timestamp;
-use lightshaft_api::settings::{CameraChoice, Environment, EnvironmentMap, Ground, Integrator, RenderSettings, Split};
+use lightshaft_api::settings::{
+    Acceleration, CameraChoice, Environment, EnvironmentMap, Ground, Integrator, LineSpace, RenderSettings, Split,
+};
 use serde_json::Value;
 use tower::ServiceExt;
 
@@ -223,6 +225,7 @@ fn full_settings() -> RenderSettings {
             rotation_deg: 0.0,
         })),
         split: Some(Split::Passes(4)),
+        acceleration: Acceleration { line_space: Some(LineSpace::default()), ..Acceleration::default() },
         ..RenderSettings::default()
     }
 }
@@ -257,6 +260,9 @@ fn the_form_offers_every_value_of_every_choice() {
         ("/settings/aovs", "AovName"),
         ("/settings/acceleration/structure", "StructureKind"),
         ("/settings/acceleration/quality", "BuildQuality"),
+        ("/settings/acceleration/line_space/payload", "LineSpacePayload"),
+        ("/settings/acceleration/line_space/builder", "LineSpaceBuilder"),
+        ("/settings/acceleration/line_space/on_over_budget", "OnOverBudget"),
         ("/settings/lights/0/kind", "LightKind"),
     ];
     for (pointer, schema) in choices {
@@ -267,8 +273,9 @@ fn the_form_offers_every_value_of_every_choice() {
         let (Control::Choice { options } | Control::Several { options }) = &field.control else {
             panic!("{pointer} is no choice");
         };
-        let offered: BTreeSet<String> =
-            options.iter().map(|option| option.value.trim_matches('"').to_owned()).collect();
+        // An empty value leaves the choice to the service.
+        let values = options.iter().map(|option| option.value.trim_matches('"').to_owned());
+        let offered: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
         assert!(!wanted.is_empty(), "no names in {schema}");
         assert_eq!(offered, wanted, "{pointer}");
     }

@@ -1,4 +1,4 @@
-//! Built structures, by `(mesh hash, kind, parameters, builder version)`: in memory, on disk, in the service's store.
+//! Built structures and Line Spaces, by `(mesh hash, kind, parameters, builder version)`: in memory, on disk, in the service's store.
 //!
 //! A structure is looked for from the nearest place to the farthest, and built when nobody has it; whatever was found or
 //! built is put into the nearer places. Requests for one key at one time do the work once. Trouble with a cache is
@@ -10,11 +10,12 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use lightshaft_api::job::{CacheReport, CacheSource};
-use lightshaft_engine::accel::{BuildError, Structure, StructureKey, StructureParams, WeakStructure};
+use lightshaft_engine::accel::{BuildError, Structure, StructureKey};
 use lightshaft_engine::scene::Mesh;
 
 use super::disk::DiskStore;
 use super::lru::Lru;
+use super::recipe::{Cached, Kept, Recipe, WeakKept};
 
 #[cfg(test)]
 mod tests;
@@ -38,15 +39,15 @@ pub struct StructureCache {
 
 #[derive(Debug)]
 struct Memory {
-    kept: Lru<StructureKey, Structure>,
+    kept: Lru<StructureKey, Kept>,
     /// Everything that somebody still traces with, evicted or not.
-    alive: HashMap<StructureKey, WeakStructure>,
+    alive: HashMap<StructureKey, WeakKept>,
 }
 
-/// A structure, and where it came from.
+/// A structure or a Line Space, and where it came from.
 #[derive(Debug)]
-pub struct Obtained {
-    pub structure: Structure,
+pub struct Obtained<T = Structure> {
+    pub structure: T,
     pub report: CacheReport,
     pub warnings: Vec<String>,
 }
@@ -66,27 +67,27 @@ impl StructureCache {
     /// # Errors
     /// [`BuildError::Cancelled`] once `cancel` is set, also while waiting for somebody else's build; nothing is left
     /// behind then. Other errors are those of the builder.
-    pub fn get(
+    pub fn get<R: Recipe>(
         &self,
         mesh: &Mesh,
-        params: &StructureParams,
+        recipe: &R,
         store: Option<&dyn StructureStore>,
         cancel: &AtomicBool,
-    ) -> Result<Obtained, BuildError> {
+    ) -> Result<Obtained<R::Product>, BuildError> {
         let started = Instant::now();
-        let key = params.key(mesh.hash);
+        let key = recipe.key(mesh);
         let _turn = self.take_turn(&key, cancel)?;
         let mut warnings = Vec::new();
-        let (structure, source) = match self.find(&key, mesh, params, store, &mut warnings) {
+        let (structure, source) = match self.find(&key, mesh, recipe, store, &mut warnings) {
             Some(found) => found,
-            None => (self.build(&key, mesh, params, store, cancel, &mut warnings)?, CacheSource::Built),
+            None => (self.build(&key, mesh, recipe, store, cancel, &mut warnings)?, CacheSource::Built),
         };
         let report = CacheReport {
             mesh: mesh.hash.to_string(),
             structure: format!("{} {}", key.kind, key.parameters),
             source,
             seconds: started.elapsed().as_secs_f64(),
-            bytes: structure.bytes() as u64,
+            bytes: structure.bytes(),
         };
         Ok(Obtained { structure, report, warnings })
     }
@@ -113,32 +114,32 @@ impl StructureCache {
         }
     }
 
-    fn find(
+    fn find<R: Recipe>(
         &self,
         key: &StructureKey,
         mesh: &Mesh,
-        params: &StructureParams,
+        recipe: &R,
         store: Option<&dyn StructureStore>,
         warnings: &mut Vec<String>,
-    ) -> Option<(Structure, CacheSource)> {
+    ) -> Option<(R::Product, CacheSource)> {
         if let Some(structure) = self.recall(key) {
             return Some((structure, CacheSource::Memory));
         }
-        if let Some(structure) = self.load(key, mesh, params, warnings) {
+        if let Some(structure) = self.load(key, mesh, recipe, warnings) {
             return Some((self.remember(key, structure), CacheSource::Disk));
         }
-        let (structure, encoded) = self.fetch(key, mesh, params, store?, warnings)?;
+        let (structure, encoded) = self.fetch(key, mesh, recipe, store?, warnings)?;
         self.save(key, &encoded, warnings);
         Some((self.remember(key, structure), CacheSource::Fetched))
     }
 
-    fn load(
+    fn load<R: Recipe>(
         &self,
         key: &StructureKey,
         mesh: &Mesh,
-        params: &StructureParams,
+        recipe: &R,
         warnings: &mut Vec<String>,
-    ) -> Option<Structure> {
+    ) -> Option<R::Product> {
         let disk = self.disk.as_ref()?;
         let name = file_name(key);
         let bytes = match disk.read(&name) {
@@ -148,7 +149,7 @@ impl StructureCache {
                 return None;
             }
         };
-        match params.decode(&bytes, mesh) {
+        match recipe.decode(&bytes, mesh) {
             Ok(structure) => Some(structure),
             Err(why) => {
                 warnings.push(format!("the cached structure of mesh {} was corrupt ({why}): rebuilt", key.mesh));
@@ -160,17 +161,17 @@ impl StructureCache {
         }
     }
 
-    fn fetch(
+    fn fetch<R: Recipe>(
         &self,
         key: &StructureKey,
         mesh: &Mesh,
-        params: &StructureParams,
+        recipe: &R,
         store: &dyn StructureStore,
         warnings: &mut Vec<String>,
-    ) -> Option<(Structure, Vec<u8>)> {
+    ) -> Option<(R::Product, Vec<u8>)> {
         match store.fetch(key) {
             Ok(None) => None,
-            Ok(Some(encoded)) => match params.decode(&encoded, mesh) {
+            Ok(Some(encoded)) => match recipe.decode(&encoded, mesh) {
                 Ok(structure) => Some((structure, encoded)),
                 Err(why) => {
                     warnings.push(format!("the service's structure of mesh {} was corrupt ({why}): rebuilt", key.mesh));
@@ -184,17 +185,17 @@ impl StructureCache {
         }
     }
 
-    fn build(
+    fn build<R: Recipe>(
         &self,
         key: &StructureKey,
         mesh: &Mesh,
-        params: &StructureParams,
+        recipe: &R,
         store: Option<&dyn StructureStore>,
         cancel: &AtomicBool,
         warnings: &mut Vec<String>,
-    ) -> Result<Structure, BuildError> {
+    ) -> Result<R::Product, BuildError> {
         let started = Instant::now();
-        let structure = Structure::build(mesh, params, cancel)?;
+        let structure = recipe.build(mesh, cancel)?;
         let build_s = started.elapsed().as_secs_f64();
         let encoded = (self.disk.is_some() || store.is_some()).then(|| structure.encode());
         let structure = self.remember(key, structure);
@@ -215,16 +216,18 @@ impl StructureCache {
         }
     }
 
-    fn recall(&self, key: &StructureKey) -> Option<Structure> {
+    fn recall<T: Cached>(&self, key: &StructureKey) -> Option<T> {
         let mut memory = self.memory();
-        memory.kept.get(key).or_else(|| memory.alive.get(key).and_then(WeakStructure::upgrade))
+        let kept = memory.kept.get(key).or_else(|| memory.alive.get(key).and_then(WeakKept::upgrade))?;
+        T::from_kept(kept)
     }
 
-    fn remember(&self, key: &StructureKey, structure: Structure) -> Structure {
+    fn remember<T: Cached>(&self, key: &StructureKey, structure: T) -> T {
         let mut memory = self.memory();
+        let kept: Kept = structure.clone().into();
         memory.alive.retain(|_, weak| weak.is_alive());
-        memory.alive.insert(key.clone(), structure.downgrade());
-        memory.kept.insert(key.clone(), structure.clone(), structure.bytes() as u64);
+        memory.alive.insert(key.clone(), kept.downgrade());
+        memory.kept.insert(key.clone(), kept, structure.bytes());
         structure
     }
 

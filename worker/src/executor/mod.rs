@@ -9,6 +9,7 @@
 //! scenes, the packed scene, structures.
 
 mod devices;
+mod line_spaces;
 mod metrics;
 mod output;
 mod part;

@@ -5,7 +5,8 @@
 
 use std::time::{Duration, Instant};
 
-use lightshaft_api::job::{Metrics, Phase, RayCounts};
+use lightshaft_api::job::{LineSpaceUse, Metrics, Phase, RayCounts};
+use lightshaft_engine::accel::line_space::Class;
 use lightshaft_engine::device::{DeviceError, Pass, PassStats, Watch};
 
 use super::part::Part;
@@ -106,6 +107,19 @@ fn add(metrics: &mut Metrics, stats: &PassStats) {
         ao: sum.ao + rays.ao,
         indirect: sum.indirect + rays.indirect,
     };
+    let gates = &stats.counters.gates;
+    let of = |class: Class| gates.of_class(class);
+    if let Some(line_space) = metrics.line_space {
+        metrics.line_space = Some(line_space.joined(LineSpaceUse {
+            meshes: line_space.meshes,
+            rays: gates.rays(),
+            beside: gates.beside,
+            empty: of(Class::Empty),
+            opaque: of(Class::Opaque),
+            mixed: of(Class::Mixed),
+            too_far: gates.too_far,
+        }));
+    }
 }
 
 /// How many samples the next pass takes.

@@ -7,20 +7,20 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use lightshaft_api::job::{CacheReport, Metrics, Phase};
+use lightshaft_api::job::{CacheReport, LineSpaceUse, Metrics, Phase};
 use lightshaft_api::settings::{self as api, DeviceChoice};
 use lightshaft_engine::accel::{BuildError, SceneAccel, Structure, StructureParams, flatten};
 use lightshaft_engine::device::DeviceError;
 use lightshaft_engine::film::read_environment;
 use lightshaft_engine::pack::{self, PackedScene};
-use lightshaft_engine::scene::{self, ImportError, ImportErrorKind, Scene};
+use lightshaft_engine::scene::{self, ImportError, ImportErrorKind, Mesh, Scene};
 use lightshaft_engine::settings::{HdrImage, RenderSettings};
 use rayon::prelude::*;
 
 use super::devices::{Choice, OnDevice};
 use super::{Executor, IMPORT_STARTS, PREPARE_STARTS, Ready, STRUCTURES_START, Task, TaskError};
-use crate::cache::{Lru, Obtained};
-use crate::settings::{self, Structures};
+use crate::cache::{Lru, Obtained, Recipe};
+use crate::settings::{self, Structures, Wanted};
 
 /// Pixels of the largest environment map: 16384 x 8192.
 const MAX_MAP_PIXELS: u64 = 1 << 27;
@@ -48,10 +48,11 @@ impl Executor {
     pub(super) fn prepare(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<Ready, TaskError> {
         // Before anything is built for a device that is not there.
         let choice = self.devices.choose(task.settings.device, task.settings.adapter.as_deref())?;
-        let is_flat = matches!(Structures::of(&task.settings.acceleration), Structures::Flat(_));
-        // The GPU walks two levels alone; a job that leaves the device to us gets one that can.
+        let wanted = Wanted::of(&task.settings.acceleration);
+        // The GPU walks two levels alone, without Line Spaces; a job that leaves the device to us gets one that can.
+        let needs_cpu = matches!(wanted.structures, Structures::Flat(_)) || wanted.line_spaces.is_some();
         let choice =
-            if is_flat && choice != Choice::Cpu { self.devices.choose(DeviceChoice::Cpu, None)? } else { choice };
+            if needs_cpu && choice != Choice::Cpu { self.devices.choose(DeviceChoice::Cpu, None)? } else { choice };
         let scene = self.scene(task, metrics)?;
         let map = environment_map(task, metrics)?;
         let resolved = settings::resolve(task.settings, &scene, map)
@@ -111,7 +112,7 @@ impl Executor {
         resolved: &RenderSettings,
         metrics: &mut Metrics,
     ) -> Result<Arc<PackedScene>, TaskError> {
-        let wanted = Structures::of(&task.settings.acceleration);
+        let wanted = Wanted::of(&task.settings.acceleration);
         let key = packed_key(task, &wanted);
         let known = key.as_ref().and_then(|key| {
             let last = self.prepared.last.lock().unwrap_or_else(PoisonError::into_inner);
@@ -130,10 +131,22 @@ impl Executor {
         task.report(Phase::Structures, STRUCTURES_START, 0);
         let started = Instant::now();
         let with_overlays = pack::with_overlays(scene, resolved);
-        let accel = Arc::new(match &wanted {
+        let accel = Arc::new(match &wanted.structures {
             Structures::PerMesh(params) => {
                 let structures = self.obtain_structures(task, &with_overlays, params, metrics)?;
-                SceneAccel::build(structures, &pack::placements(&with_overlays))
+                let spaces = match &wanted.line_spaces {
+                    None => None,
+                    Some(wanted) => Some(self.obtain_line_spaces(task, &with_overlays, &structures, wanted)?),
+                };
+                let accel = SceneAccel::build(structures, &pack::placements(&with_overlays));
+                match spaces {
+                    None => accel,
+                    Some(obtained) => {
+                        metrics.cache.extend(obtained.reports);
+                        obtained.warnings.into_iter().for_each(|warning| task.warn(metrics, warning));
+                        accel.with_line_spaces(obtained.spaces).map_err(TaskError::worker)?
+                    }
+                }
             }
             Structures::Flat(params) => self.obtain_flat(task, &with_overlays, params, metrics)?,
         });
@@ -160,7 +173,7 @@ impl Executor {
         Ok(packed)
     }
 
-    /// One structure for each mesh, in the meshes' order. Meshes are worked on at once, the largest first.
+    /// One structure for each mesh, in the meshes' order.
     fn obtain_structures(
         &self,
         task: &Task<'_>,
@@ -168,28 +181,36 @@ impl Executor {
         params: &StructureParams,
         metrics: &mut Metrics,
     ) -> Result<Vec<Structure>, TaskError> {
-        let mut order: Vec<usize> = (0..scene.meshes.len()).collect();
-        order.sort_by_key(|&i| std::cmp::Reverse(scene.meshes[i].primitive_count()));
+        let asked: Vec<_> = scene.meshes.iter().map(|mesh| Some((&**mesh, *params))).collect();
+        let obtained = self.obtain_all(task, &asked)?;
+        Ok(obtained.into_iter().flatten().map(|obtained| take(obtained, task, metrics)).collect())
+    }
+
+    /// What each recipe makes of its mesh, in the same order. Meshes are worked on at once, the largest first.
+    pub(super) fn obtain_all<R: Recipe<Product: Send> + Sync>(
+        &self,
+        task: &Task<'_>,
+        asked: &[Option<(&Mesh, R)>],
+    ) -> Result<Vec<Option<Obtained<R::Product>>>, TaskError> {
+        let size = |i: usize| asked[i].as_ref().map_or(0, |(mesh, _)| mesh.primitive_count());
+        let mut order: Vec<usize> = (0..asked.len()).collect();
+        order.sort_by_key(|&i| std::cmp::Reverse(size(i)));
         let store = task.inputs.structures();
         let done = AtomicUsize::new(0);
-        let obtained = order
+        let mut obtained = order
             .par_iter()
             .with_max_len(1)
             .map(|&i| {
-                let obtained = self.structures.get(&scene.meshes[i], params, store, task.stop)?;
-                let share = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / scene.meshes.len() as f64;
+                let Some((mesh, recipe)) = &asked[i] else { return Ok((i, None)) };
+                let obtained = self.structures.get(mesh, recipe, store, task.stop)?;
+                let share = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / asked.len() as f64;
                 task.report(Phase::Structures, STRUCTURES_START + (PREPARE_STARTS - STRUCTURES_START) * share, 0);
-                Ok((i, obtained))
+                Ok((i, Some(obtained)))
             })
-            .collect::<Result<Vec<(usize, Obtained)>, BuildError>>()
+            .collect::<Result<Vec<_>, BuildError>>()
             .map_err(build_error)?;
-        let mut by_mesh: Vec<(usize, Obtained)> = obtained;
-        by_mesh.sort_by_key(|(i, _)| *i);
-        let mut structures = Vec::with_capacity(by_mesh.len());
-        for (_, obtained) in by_mesh {
-            structures.push(take(obtained, task, metrics));
-        }
-        Ok(structures)
+        obtained.sort_by_key(|(i, _)| *i);
+        Ok(obtained.into_iter().map(|(_, obtained)| obtained).collect())
     }
 
     /// One structure over all instances. It belongs to this arrangement of meshes and to no single one, so it is kept by
@@ -258,11 +279,11 @@ fn build_error(error: BuildError) -> TaskError {
 }
 
 /// Names everything that goes into a packed scene. Samples, seed and outputs do not.
-fn packed_key(task: &Task<'_>, structures: &Structures) -> Option<String> {
+fn packed_key(task: &Task<'_>, wanted: &Wanted) -> Option<String> {
     let scene = task.inputs.scene_key()?;
     let s = task.settings;
     let parts = (&s.camera, s.width, s.height, &s.environment, &s.lights, &s.ground);
-    Some(format!("{scene} {structures:?} {parts:?}"))
+    Some(format!("{scene} {wanted:?} {parts:?}"))
 }
 
 fn count_structures(metrics: &mut Metrics, packed: &PackedScene) {
@@ -271,6 +292,10 @@ fn count_structures(metrics: &mut Metrics, packed: &PackedScene) {
     metrics.structure_bytes = (bytes + packed.accel.top_bytes()) as u64;
     let nodes: usize = structures.iter().map(Structure::node_count).sum();
     metrics.structure_nodes = (nodes + packed.accel.top().nodes.len()) as u64;
+    let spaces = packed.accel.line_spaces();
+    let meshes = spaces.iter().flatten().count() as u64;
+    metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, ..LineSpaceUse::default() });
+    metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
 }
 
 fn import_error(error: ImportError) -> TaskError {

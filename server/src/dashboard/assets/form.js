@@ -88,7 +88,8 @@ function post(address, body, headers = {}) {
 function showWanted(form) {
   for (const box of form.querySelectorAll('[data-choice]')) {
     const choice = document.getElementById(box.dataset.choice);
-    box.hidden = !box.dataset.wanted.split(' ').includes(choice.value);
+    const isOffered = !choice.closest('.field').hidden;
+    box.hidden = !isOffered || !box.dataset.wanted.split(' ').includes(choice.value);
   }
 }
 

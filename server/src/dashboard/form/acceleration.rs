@@ -1,8 +1,8 @@
-//! The fields of the spatial structure.
+//! The fields of the spatial structure and of Line Spaces.
 
-use lightshaft_api::settings::Acceleration;
+use lightshaft_api::settings::{Acceleration, LineSpace, StructureKind};
 
-use super::{Control, Field, options};
+use super::{Control, Field, options, whole};
 
 const STRUCTURE: &str = "/settings/acceleration/structure";
 const STRUCTURES: [(&str, &str); 5] = [
@@ -25,19 +25,13 @@ pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
     let field = |name: &str, label, unit, help, control| {
         Field::new(&format!("/settings/acceleration/{name}"), label, unit, help, control)
     };
-    let whole = |value: Option<u64>, min, max| Control::Number {
-        value: value.map(|value| value.to_string()).unwrap_or_default(),
-        min,
-        max,
-        whole: true,
-    };
-    let n = whole(a.n.map(u64::from), "2", "16");
-    let depth = whole(a.depth.map(u64::from), "1", "16");
-    let max_leaf = whole(a.max_leaf.map(u64::from), "0", "1024");
-    let density = whole(a.cells_per_primitive.map(u64::from), "1", "64");
-    let resolution = whole(a.resolution.map(u64::from), "1", "4096");
-    let budget = whole(a.budget_bytes, "1048576", "");
-    vec![
+    let n = perhaps(a.n, "2", "16");
+    let depth = perhaps(a.depth, "1", "16");
+    let max_leaf = perhaps(a.max_leaf, "0", "1024");
+    let density = perhaps(a.cells_per_primitive, "1", "64");
+    let resolution = perhaps(a.resolution, "1", "4096");
+    let budget = perhaps(a.budget_bytes, "1048576", "");
+    let mut fields = vec![
         field("structure", "Structure", "", "All give the same picture.", Control::Choice { options: structures }),
         field(
             "quality",
@@ -71,5 +65,118 @@ pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
         .when(STRUCTURE, "\"grid\"", &current),
         field("budget_bytes", "Memory budget", "bytes", "What needs more is refused. Empty: 4 GiB.", budget)
             .when(STRUCTURE, CELLS, &current),
+    ];
+    fields.extend(line_space_fields(a, &current));
+    fields
+}
+
+const PAYLOAD: &str = "/settings/acceleration/line_space/payload";
+const PAYLOADS: [(&str, &str); 4] = [
+    ("tri_state", "Free, blocked or undecided, proven"),
+    ("binary", "Empty or not"),
+    ("candidate", "A triangle for each shaft"),
+    ("coverage", "The blocked share of each shaft"),
+];
+const ANY_PAYLOAD: &str = "\"tri_state\" \"binary\" \"candidate\" \"coverage\"";
+
+fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
+    let given = a.line_space.as_ref().filter(|_| a.structure == StructureKind::TwoLevel);
+    let start = LineSpace::default();
+    let l = given.unwrap_or(&start);
+    let chosen: Vec<_> = given.iter().map(|line_space| line_space.payload).collect();
+    let mut payloads = options(&chosen, &PAYLOADS.map(|(name, _)| name), &PAYLOADS);
+    let none = super::ChoiceOption { value: String::new(), label: "None".to_owned(), selected: given.is_none() };
+    payloads.insert(0, none);
+    let current = payloads.iter().find(|option| option.selected).map(|option| option.value.clone());
+    let current = current.unwrap_or_default();
+    let choice = |current: &[&str], all: &[(&str, &str)]| {
+        let mut options = options(current, &all.iter().map(|(name, _)| *name).collect::<Vec<_>>(), all);
+        options.insert(
+            0,
+            super::ChoiceOption { value: String::new(), label: "Automatic".to_owned(), selected: current.is_empty() },
+        );
+        Control::Choice { options }
+    };
+    let builder = l.builder.as_ref().map(super::name_of);
+    let builders = choice(
+        &builder.as_deref().map(|name| vec![name]).unwrap_or_default(),
+        &[("mask", "Masks"), ("clip", "Clipping"), ("ray_cast", "Ray casting"), ("layered", "Layers, with proofs")],
+    );
+    let layouts = Control::Choice {
+        options: [("", "Automatic", None), ("true", "A tree", Some(true)), ("false", "A table", Some(false))]
+            .map(|(value, label, means)| super::ChoiceOption {
+                value: value.to_owned(),
+                label: label.to_owned(),
+                selected: l.hierarchical == means,
+            })
+            .into(),
+    };
+    let budget_choices = ["refuse", "shrink", "skip"];
+    let over_budget = options(&[l.on_over_budget], &budget_choices, &[("shrink", "Shrink it"), ("skip", "Do without")]);
+    let policies = options(&["exact"], &["exact"], &[("exact", "Exact: the same picture")]);
+    let field = |name: &str, label, unit, help, control| {
+        Field::new(&format!("/settings/acceleration/line_space/{name}"), label, unit, help, control)
+    };
+    vec![
+        field(
+            "payload",
+            "Line Space",
+            "",
+            "What is known of the lines through each mesh.",
+            Control::Choice { options: payloads },
+        )
+        .when(STRUCTURE, "\"two_level\"", structure),
+        Field::new(
+            "/settings/acceleration/policy",
+            "Used for",
+            "",
+            "Exact: only what is proven.",
+            Control::Choice { options: policies },
+        )
+        .when(PAYLOAD, ANY_PAYLOAD, &current),
+        field("n", "Patches", "per edge", "Empty: as the payload likes it.", perhaps(l.n, "1", "32")).when(
+            PAYLOAD,
+            ANY_PAYLOAD,
+            &current,
+        ),
+        field("depth", "Depth", "levels", "0: the mesh's own box.", whole(l.depth, "0", "0")).when(
+            PAYLOAD,
+            ANY_PAYLOAD,
+            &current,
+        ),
+        field("builder", "Made by", "", "", builders).when(PAYLOAD, ANY_PAYLOAD, &current),
+        field("hierarchical", "Layout", "", "A tree is smaller.", layouts).when(PAYLOAD, "\"tri_state\"", &current),
+        field("resolution", "Voxels", "per axis", "A power of two. Empty: 128.", perhaps(l.resolution, "16", "256"))
+            .when(PAYLOAD, "\"tri_state\"", &current),
+        field("bits", "Bits of a shaft", "", "Empty: 8.", perhaps(l.bits, "2", "8")).when(
+            PAYLOAD,
+            "\"coverage\"",
+            &current,
+        ),
+        field("rays", "Lines of a shaft", "", "Empty: 16.", perhaps(l.rays, "1", "1024")).when(
+            PAYLOAD,
+            "\"coverage\"",
+            &current,
+        ),
+        field(
+            "mesh_budget_bytes",
+            "Most for a mesh",
+            "bytes",
+            "Empty: 256 MiB.",
+            perhaps(l.mesh_budget_bytes, "1024", ""),
+        )
+        .when(PAYLOAD, ANY_PAYLOAD, &current),
+        field("job_budget_bytes", "Most for all", "bytes", "Empty: 4 GiB.", perhaps(l.job_budget_bytes, "1024", ""))
+            .when(PAYLOAD, ANY_PAYLOAD, &current),
+        field("on_over_budget", "Over a budget", "", "", Control::Choice { options: over_budget }).when(
+            PAYLOAD,
+            ANY_PAYLOAD,
+            &current,
+        ),
     ]
+}
+
+/// A whole number that may be left out.
+fn perhaps<T: ToString>(value: Option<T>, min: &'static str, max: &'static str) -> Control {
+    whole(value.map(|value| value.to_string()).unwrap_or_default(), min, max)
 }

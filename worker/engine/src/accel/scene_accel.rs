@@ -192,6 +192,11 @@ impl SceneAccel {
         &self.structures
     }
 
+    /// The Line Spaces that the scene was given: none at all, or one, or none, for each structure.
+    pub fn line_spaces(&self) -> &[Option<Arc<LineSpace>>] {
+        &self.gates.line_spaces
+    }
+
     /// Whether one structure holds all instances.
     pub fn is_flat(&self) -> bool {
         matches!(self.form, Form::Flat(_))

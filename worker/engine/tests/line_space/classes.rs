@@ -205,11 +205,10 @@ fn gated_scenes_answer_bit_for_bit_as_without_gates() {
     let structures: Vec<_> = meshes.iter().map(|mesh| Arc::new(build(mesh, BuildParams::default()))).collect();
     let plain = SceneAccel::build(structures.clone(), &placements);
     let bounds = plain.top().bounds();
-    for (n, layout, resolution) in [(8, ClassLayout::Tree, 32), (6, ClassLayout::Table, 32)] {
-        let gates = meshes
-            .iter()
-            .zip(&structures)
-            .map(|(mesh, structure)| Some(Arc::new(line_space(mesh, structure, classes(n, layout, resolution)))));
+    let masks = LineSpaceParams { n: 4, payload: Payload::Binary { builder: BinaryBuilder::Masking } };
+    for params in [classes(8, ClassLayout::Tree, 32), classes(6, ClassLayout::Table, 32), masks] {
+        let gates =
+            meshes.iter().zip(&structures).map(|(mesh, structure)| Some(Arc::new(line_space(mesh, structure, params))));
         let gated = SceneAccel::build(structures.clone(), &placements)
             .with_line_spaces(gates.collect())
             .expect("one for each structure");
@@ -228,7 +227,8 @@ fn gated_scenes_answer_bit_for_bit_as_without_gates() {
             assert_eq!(blocked, found.is_some());
         }
         let GateCounters { full_chord, starts_inside, .. } = counters.gates;
-        assert!(full_chord.iter().all(|&rays| rays > 5000), "{full_chord:?}");
+        let least = |class: usize| if params == masks { [50, 0, 5000][class] } else { 5000 };
+        assert!((0..3).all(|class| full_chord[class] >= least(class)), "{params:?}: {full_chord:?}");
         assert!(starts_inside.iter().sum::<u64>() > 1000);
     }
 }

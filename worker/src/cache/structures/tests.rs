@@ -3,9 +3,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicUsize;
 
-use lightshaft_engine::accel::{BuildParams, NTreeParams, Quality};
+use lightshaft_engine::accel::line_space::LineSpaceParams;
+use lightshaft_engine::accel::{BuildParams, NTreeParams, Quality, StructureParams};
 use lightshaft_engine::scene::{Limits, Params, Source, generate, import};
 use std::sync::Arc;
+
+use crate::cache::LineSpaceRecipe;
 
 const PARAMS: StructureParams = StructureParams::Bvh(BuildParams { quality: Quality::Medium, spatial_splits: false });
 static GO: AtomicBool = AtomicBool::new(false);
@@ -75,7 +78,7 @@ fn other_parameters_are_another_structure() {
     let cache = StructureCache::new(1 << 30, None);
     let mesh = mesh();
     get(&cache, &mesh);
-    let other = BuildParams { quality: Quality::Fast, spatial_splits: false }.into();
+    let other = StructureParams::Bvh(BuildParams { quality: Quality::Fast, spatial_splits: false });
     assert_eq!(cache.get(&mesh, &other, None, &GO).unwrap().report.source, CacheSource::Built);
 }
 
@@ -95,6 +98,38 @@ fn trees_of_cells_are_kept_like_any_other_structure() {
     // The budget does not decide what is built.
     let larger = StructureParams::NTree(NTreeParams { n: 4, depth: 3, max_leaf: 4, budget_bytes: 1 << 30 });
     assert_eq!(cache.get(&mesh, &larger, None, &GO).unwrap().report.source, CacheSource::Memory);
+}
+
+#[test]
+fn line_spaces_are_kept_like_any_structure() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = mesh();
+    let cache = on_disk(folder.path(), 1 << 30);
+    let Structure::Bvh(structure) = get(&cache, &mesh).structure else { panic!("not a BVH") };
+    let recipe = |n| LineSpaceRecipe {
+        params: LineSpaceParams { n, ..LineSpaceParams::DEFAULT_CLASSES },
+        structure: &structure,
+        budget_bytes: 1 << 20,
+    };
+    let shelf = Shelf::default();
+    let obtain = |cache: &StructureCache, n| cache.get(&mesh, &recipe(n), Some(&shelf), &GO).unwrap();
+    let built = obtain(&cache, 8);
+    assert_eq!(built.report.source, CacheSource::Built);
+    assert_eq!(built.report.bytes, built.structure.bytes() as u64);
+    assert!(built.report.structure.starts_with("line_space n=8,payload=classes"), "{}", built.report.structure);
+    assert_eq!(obtain(&cache, 8).report.source, CacheSource::Memory);
+    assert_eq!(obtain(&cache, 4).report.source, CacheSource::Built);
+    let from_disk = obtain(&on_disk(folder.path(), 0), 8);
+    assert_eq!((from_disk.report.source, &from_disk.structure), (CacheSource::Disk, &built.structure));
+    let fetched = obtain(&StructureCache::new(1 << 30, None), 8);
+    assert_eq!((fetched.report.source, &fetched.structure), (CacheSource::Fetched, &built.structure));
+
+    let small = LineSpaceRecipe { budget_bytes: 100, ..recipe(16) };
+    let refused = cache.get(&mesh, &small, None, &GO).unwrap_err().to_string();
+    assert!(refused.contains("the budget is 100"), "{refused}");
+    let cancelled = cache.get(&mesh, &recipe(16), None, &AtomicBool::new(true));
+    assert!(matches!(cancelled, Err(BuildError::Cancelled)));
+    assert_eq!(files(folder.path()).len(), 3, "a structure and two line spaces");
 }
 
 #[test]

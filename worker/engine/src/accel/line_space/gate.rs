@@ -56,6 +56,14 @@ impl GateCounters {
         self.look_ups() + self.beside + self.too_far
     }
 
+    /// Rays whose shaft is of a class.
+    pub fn of_class(&self, class: Class) -> u64 {
+        [self.full_chord, self.ends_inside, self.starts_inside, self.own_mesh]
+            .map(|kind| kind[class as usize])
+            .iter()
+            .sum()
+    }
+
     /// Rays whose shaft was looked up.
     pub fn look_ups(&self) -> u64 {
         [self.full_chord, self.ends_inside, self.starts_inside, self.own_mesh].iter().flatten().sum()
@@ -76,7 +84,7 @@ impl std::ops::AddAssign for GateCounters {
 }
 
 impl LineSpace {
-    /// What is certain of a ray in the mesh's space. Without a payload of classes: nothing.
+    /// What is certain of a ray in the mesh's space: nothing, unless the payload is proven.
     #[inline]
     pub(crate) fn verdict(&self, ray: &Ray, counters: &mut GateCounters) -> Verdict {
         let Some((grid, shafts)) = &self.content else { return Verdict::Unknown };
@@ -98,6 +106,12 @@ impl LineSpace {
         let class = match shafts {
             Shafts::Tree(tree) => tree.class(chord.entry, chord.exit),
             Shafts::Table(table) => table.class(chord.entry, chord.exit),
+            Shafts::Binary(binary) if self.params.is_conservative() => {
+                match binary.is_marked(chord.entry, chord.exit) {
+                    true => Class::Mixed,
+                    false => Class::Empty,
+                }
+            }
             _ => return Verdict::Unknown,
         };
         let kind = match (chord.starts_outside, chord.reaches_exit) {

@@ -97,6 +97,12 @@ impl LineSpaceParams {
         format!("n={},payload={payload}", self.n)
     }
 
+    /// The same with half as many patches along an edge, if that can be.
+    pub fn coarser(&self) -> Option<Self> {
+        let coarser = Self { n: self.n / 2, ..*self };
+        coarser.check().is_ok().then_some(coarser)
+    }
+
     /// Says which parameter is out of range, and what would be right.
     pub fn check(&self) -> Result<(), String> {
         let range = |name: &str, value: u32, least: u32, most: u32| {
@@ -125,6 +131,17 @@ impl LineSpaceParams {
                 range("bits", bits, 2, 8)?;
                 range("rays", rays, 1, 1024)
             }
+        }
+    }
+
+    /// Whether what it says of a shaft holds for all lines of it.
+    pub fn is_conservative(&self) -> bool {
+        match self.payload {
+            Payload::Classes { .. } => true,
+            Payload::Binary { builder: BinaryBuilder::Masking | BinaryBuilder::Clipping } => true,
+            Payload::Binary { builder: BinaryBuilder::Casting(_) }
+            | Payload::Candidates { .. }
+            | Payload::Coverage { .. } => false,
         }
     }
 

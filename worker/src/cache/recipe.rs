@@ -1,0 +1,159 @@
+//! What the cache of structures can hold, and how each is named, built and read back.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Weak};
+
+use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams};
+use lightshaft_engine::accel::{
+    BuildError, CorruptStructure, MeshStructure, Structure, StructureKey, StructureParams, WeakStructure,
+};
+use lightshaft_engine::scene::Mesh;
+
+/// How something over a mesh is made.
+pub trait Recipe {
+    type Product: Cached;
+
+    fn key(&self, mesh: &Mesh) -> StructureKey;
+
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self::Product, BuildError>;
+
+    /// Reads what [`Cached::encode`] wrote, and checks it.
+    fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Self::Product, CorruptStructure>;
+}
+
+/// Something over a mesh that is shared, stored and counted.
+pub trait Cached: Clone + Into<Kept> {
+    /// `None` when it is something else.
+    fn from_kept(kept: Kept) -> Option<Self>;
+
+    fn encode(&self) -> Vec<u8>;
+
+    /// Memory that it takes, in bytes.
+    fn bytes(&self) -> u64;
+}
+
+/// Anything that the cache holds.
+#[derive(Clone, Debug)]
+pub enum Kept {
+    Structure(Structure),
+    LineSpace(Arc<LineSpace>),
+}
+
+/// The same, kept only as long as somebody else uses it.
+#[derive(Clone, Debug)]
+pub(super) enum WeakKept {
+    Structure(WeakStructure),
+    LineSpace(Weak<LineSpace>),
+}
+
+impl Kept {
+    pub(super) fn downgrade(&self) -> WeakKept {
+        match self {
+            Self::Structure(structure) => WeakKept::Structure(structure.downgrade()),
+            Self::LineSpace(space) => WeakKept::LineSpace(Arc::downgrade(space)),
+        }
+    }
+}
+
+impl WeakKept {
+    pub(super) fn upgrade(&self) -> Option<Kept> {
+        match self {
+            Self::Structure(structure) => structure.upgrade().map(Kept::Structure),
+            Self::LineSpace(space) => space.upgrade().map(Kept::LineSpace),
+        }
+    }
+
+    pub(super) fn is_alive(&self) -> bool {
+        match self {
+            Self::Structure(structure) => structure.is_alive(),
+            Self::LineSpace(space) => space.strong_count() > 0,
+        }
+    }
+}
+
+impl Recipe for StructureParams {
+    type Product = Structure;
+
+    fn key(&self, mesh: &Mesh) -> StructureKey {
+        StructureParams::key(self, mesh.hash)
+    }
+
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Structure, BuildError> {
+        Structure::build(mesh, self, cancel)
+    }
+
+    fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Structure, CorruptStructure> {
+        StructureParams::decode(self, bytes, mesh)
+    }
+}
+
+impl Cached for Structure {
+    fn from_kept(kept: Kept) -> Option<Self> {
+        match kept {
+            Kept::Structure(structure) => Some(structure),
+            Kept::LineSpace(_) => None,
+        }
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        Structure::encode(self)
+    }
+
+    fn bytes(&self) -> u64 {
+        Structure::bytes(self) as u64
+    }
+}
+
+impl From<Structure> for Kept {
+    fn from(structure: Structure) -> Self {
+        Self::Structure(structure)
+    }
+}
+
+/// How the Line Space of a mesh is made.
+#[derive(Clone, Copy, Debug)]
+pub struct LineSpaceRecipe<'a> {
+    pub params: LineSpaceParams,
+    /// Any structure over the mesh: it serves the building, and decides nothing.
+    pub structure: &'a MeshStructure,
+    pub budget_bytes: u64,
+}
+
+impl Recipe for LineSpaceRecipe<'_> {
+    type Product = Arc<LineSpace>;
+
+    fn key(&self, mesh: &Mesh) -> StructureKey {
+        self.params.key(mesh.hash)
+    }
+
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Arc<LineSpace>, BuildError> {
+        LineSpace::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new)
+    }
+
+    fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Arc<LineSpace>, CorruptStructure> {
+        LineSpace::decode(bytes, mesh, self.structure, &self.params).map(Arc::new)
+    }
+}
+
+impl Cached for Arc<LineSpace> {
+    fn from_kept(kept: Kept) -> Option<Self> {
+        match kept {
+            Kept::LineSpace(space) => Some(space),
+            Kept::Structure(_) => None,
+        }
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        LineSpace::encode(self)
+    }
+
+    fn bytes(&self) -> u64 {
+        LineSpace::bytes(self) as u64
+    }
+}
+
+impl From<Arc<LineSpace>> for Kept {
+    fn from(space: Arc<LineSpace>) -> Self {
+        Self::LineSpace(space)
+    }
+}

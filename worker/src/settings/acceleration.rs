@@ -1,0 +1,141 @@
+//! Which structures and Line Spaces a job asks for.
+
+use lightshaft_api::settings::{self as api, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
+use lightshaft_engine::accel::line_space::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
+use lightshaft_engine::accel::{
+    BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Quality, StructureParams,
+};
+
+/// What a structure of cells may take when the job does not say.
+const DEFAULT_BUDGET_BYTES: u64 = 4 << 30;
+/// What the Line Space of one mesh, and those of all, may take when the job does not say.
+const DEFAULT_MESH_BUDGET_BYTES: u64 = 256 << 20;
+const DEFAULT_JOB_BUDGET_BYTES: u64 = 4 << 30;
+
+/// All that is built before rays are traced.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wanted {
+    pub structures: Structures,
+    pub line_spaces: Option<LineSpaces>,
+}
+
+impl Wanted {
+    /// Of settings that have been validated.
+    pub fn of(acceleration: &api::Acceleration) -> Self {
+        let line_spaces = acceleration.line_space.as_ref().map(LineSpaces::of);
+        Self { structures: Structures::of(acceleration), line_spaces }
+    }
+}
+
+/// A Line Space for each mesh, within budgets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineSpaces {
+    pub params: LineSpaceParams,
+    pub mesh_budget_bytes: u64,
+    pub job_budget_bytes: u64,
+    pub on_over_budget: OnOverBudget,
+}
+
+impl LineSpaces {
+    fn of(line_space: &api::LineSpace) -> Self {
+        let payload = match line_space.payload {
+            LineSpacePayload::Binary => Payload::Binary {
+                builder: match line_space.builder_or_default() {
+                    LineSpaceBuilder::Clip => BinaryBuilder::Clipping,
+                    LineSpaceBuilder::RayCast => BinaryBuilder::Casting(CastPattern::Nine),
+                    LineSpaceBuilder::Mask | LineSpaceBuilder::Layered => BinaryBuilder::Masking,
+                },
+            },
+            LineSpacePayload::Candidate => Payload::Candidates { pattern: CastPattern::Nine },
+            LineSpacePayload::TriState => Payload::Classes {
+                layout: if line_space.is_hierarchical() { ClassLayout::Tree } else { ClassLayout::Table },
+                resolution: line_space.resolution.unwrap_or(128),
+            },
+            LineSpacePayload::Coverage => {
+                Payload::Coverage { bits: line_space.bits.unwrap_or(8), rays: line_space.rays.unwrap_or(16) }
+            }
+        };
+        Self {
+            params: LineSpaceParams { n: line_space.n_or_default(), payload },
+            mesh_budget_bytes: line_space.mesh_budget_bytes.unwrap_or(DEFAULT_MESH_BUDGET_BYTES),
+            job_budget_bytes: line_space.job_budget_bytes.unwrap_or(DEFAULT_JOB_BUDGET_BYTES),
+            on_over_budget: line_space.on_over_budget,
+        }
+    }
+}
+
+/// What is built, and over what.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Structures {
+    /// One for each mesh, under a top level.
+    PerMesh(StructureParams),
+    /// One over all instances in world space.
+    Flat(StructureParams),
+}
+
+impl Structures {
+    fn of(acceleration: &api::Acceleration) -> Self {
+        let budget_bytes = acceleration.budget_bytes.unwrap_or(DEFAULT_BUDGET_BYTES);
+        let max_leaf = acceleration.max_leaf.unwrap_or(8);
+        match acceleration.structure {
+            api::StructureKind::TwoLevel => Self::PerMesh(bvh(acceleration).into()),
+            api::StructureKind::Bvh => Self::Flat(bvh(acceleration).into()),
+            api::StructureKind::Grid => {
+                let resolution = match acceleration.resolution {
+                    Some(cells) => GridResolution::LongestAxis(cells),
+                    None => GridResolution::PerPrimitive(acceleration.cells_per_primitive.unwrap_or(4)),
+                };
+                Self::Flat(StructureParams::Grid(GridParams { resolution, budget_bytes }))
+            }
+            api::StructureKind::Octree => {
+                let depth = acceleration.depth.unwrap_or(12);
+                Self::Flat(StructureParams::Octree(OctreeParams { depth, max_leaf, budget_bytes }))
+            }
+            api::StructureKind::NTree => {
+                let (n, depth) = (acceleration.n.unwrap_or(6), acceleration.depth.unwrap_or(3));
+                Self::Flat(StructureParams::NTree(NTreeParams { n, depth, max_leaf, budget_bytes }))
+            }
+        }
+    }
+}
+
+fn bvh(acceleration: &api::Acceleration) -> BuildParams {
+    BuildParams {
+        quality: match acceleration.quality {
+            api::BuildQuality::Fast => Quality::Fast,
+            api::BuildQuality::Medium => Quality::Medium,
+            api::BuildQuality::High => Quality::High,
+        },
+        spatial_splits: acceleration.spatial_splits,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lightshaft_api::settings::RenderSettings;
+    use serde_json::json;
+
+    #[test]
+    fn whatever_the_api_accepts_the_engine_can_build() {
+        for line_space in [
+            json!({}),
+            json!({ "n": 1 }),
+            json!({ "n": 32, "resolution": 16 }),
+            json!({ "n": 31, "resolution": 256 }),
+            json!({ "n": 16, "hierarchical": false }),
+            json!({ "payload": "binary", "n": 12 }),
+            json!({ "payload": "binary", "n": 32, "builder": "clip" }),
+            json!({ "payload": "binary", "n": 32, "builder": "ray_cast" }),
+            json!({ "payload": "candidate", "n": 32 }),
+            json!({ "payload": "coverage", "n": 32, "bits": 2, "rays": 1 }),
+            json!({ "payload": "coverage", "n": 1, "bits": 8, "rays": 1024 }),
+        ] {
+            let settings = json!({ "acceleration": { "line_space": line_space } });
+            let settings: RenderSettings = serde_json::from_value(settings).unwrap();
+            assert_eq!(settings.validate(""), [], "{line_space}");
+            let wanted = Wanted::of(&settings.acceleration).line_spaces.unwrap();
+            assert_eq!(wanted.params.check(), Ok(()), "{line_space}");
+        }
+    }
+}
