@@ -7,12 +7,13 @@ mod blobs;
 mod events;
 mod jobs;
 mod scenes;
+mod upload;
 mod workers;
 
 use std::time::Duration;
 
 use reqwest::header::{ACCEPT, CONTENT_TYPE, HeaderMap, RETRY_AFTER};
-use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
+use reqwest::{ClientBuilder, Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -22,10 +23,16 @@ pub use scenes::{ScenePart, Upload};
 use crate::problem::Problem;
 use crate::status::Status;
 
+/// Longest pause within an answer, and from the end of a short request to the beginning of its answer.
+const READ_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// A service at one address. Cheap to clone; connections are shared.
 #[derive(Clone, Debug)]
 pub struct Client {
     http: reqwest::Client,
+    /// For requests with bodies of any size: it waits without limit, see [`upload`].
+    uploads: reqwest::Client,
+    patience: upload::Patience,
     base: Url,
     traceparent: Option<String>,
 }
@@ -43,6 +50,9 @@ pub enum ClientError {
     Unexpected { url: String, status: u16, detail: String, retry_after: Option<Duration> },
     #[error("`{url}` is no address of a service: {detail} (expected something like http://127.0.0.1:8080)")]
     Address { url: String, detail: String },
+    /// The service takes nothing of a body, or does not answer after it.
+    #[error("{url} did not get on with an upload for {:.1} s", waited.as_secs_f64())]
+    Stalled { url: String, waited: Duration },
     #[error("{path}: {source}")]
     File { path: String, source: std::io::Error },
 }
@@ -53,7 +63,7 @@ impl ClientError {
         match self {
             Self::Problem { problem, .. } => Some(problem.status),
             Self::Unexpected { status, .. } => Some(*status),
-            Self::Transport { .. } | Self::Address { .. } | Self::File { .. } => None,
+            Self::Transport { .. } | Self::Stalled { .. } | Self::Address { .. } | Self::File { .. } => None,
         }
     }
 
@@ -68,14 +78,14 @@ impl ClientError {
     pub fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::Problem { retry_after, .. } | Self::Unexpected { retry_after, .. } => *retry_after,
-            Self::Transport { .. } | Self::Address { .. } | Self::File { .. } => None,
+            Self::Transport { .. } | Self::Stalled { .. } | Self::Address { .. } | Self::File { .. } => None,
         }
     }
 
     /// Whether the same call may well succeed a little later.
     pub fn is_transient(&self) -> bool {
         match self {
-            Self::Transport { .. } => true,
+            Self::Transport { .. } | Self::Stalled { .. } => true,
             Self::Address { .. } | Self::File { .. } => false,
             Self::Problem { .. } | Self::Unexpected { .. } => {
                 self.status().is_some_and(|status| status == 408 || status == 429 || status >= 500)
@@ -97,13 +107,14 @@ impl Client {
         if !url.path().ends_with('/') {
             url.set_path(&format!("{}/", url.path()));
         }
-        let http = reqwest::Client::builder()
-            .connect_timeout(Duration::from_secs(10))
-            .read_timeout(Duration::from_secs(60))
-            .user_agent(concat!("lightshaft/", env!("CARGO_PKG_VERSION")))
-            .build()
-            .map_err(|error| address_error(error.to_string()))?;
-        Ok(Self { http, base: url, traceparent: None })
+        let build = |builder: ClientBuilder| builder.build().map_err(|error| address_error(error.to_string()));
+        Ok(Self {
+            http: build(builder().read_timeout(READ_TIMEOUT))?,
+            uploads: build(builder())?,
+            patience: upload::Patience::default(),
+            base: url,
+            traceparent: None,
+        })
     }
 
     /// The same client, all of whose requests carry this W3C `traceparent`.
@@ -140,7 +151,10 @@ impl Client {
 
     /// Sends, and turns every answer outside 2xx and 304 into an error.
     async fn send(&self, request: RequestBuilder) -> Result<Response> {
-        let response = request.send().await.map_err(transport)?;
+        Self::checked(request.send().await.map_err(transport)?).await
+    }
+
+    async fn checked(response: Response) -> Result<Response> {
         if response.status().is_success() || response.status() == StatusCode::NOT_MODIFIED {
             return Ok(response);
         }
@@ -183,6 +197,14 @@ impl Client {
     async fn post_json<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> Result<T> {
         self.send_json(self.request(Method::POST, path).json(body)).await
     }
+}
+
+fn builder() -> ClientBuilder {
+    // A peer that is gone without a word is noticed also where there is no limit to an answer's time.
+    reqwest::Client::builder()
+        .connect_timeout(Duration::from_secs(10))
+        .tcp_keepalive(Duration::from_secs(20))
+        .user_agent(concat!("lightshaft/", env!("CARGO_PKG_VERSION")))
 }
 
 fn transport(source: reqwest::Error) -> ClientError {

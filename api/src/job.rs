@@ -273,8 +273,8 @@ pub enum AttemptOutcome {
     Worker,
     Task,
     Transient,
+    /// Given back before its end: drain or shutdown.
     Interrupted,
-    Deferred,
     /// No heartbeat came within the lease's time to live.
     Expired,
     Cancelled,
@@ -289,7 +289,6 @@ impl AttemptOutcome {
             Self::Task => "task",
             Self::Transient => "transient",
             Self::Interrupted => "interrupted",
-            Self::Deferred => "deferred",
             Self::Expired => "expired",
             Self::Cancelled => "cancelled",
         }

@@ -155,12 +155,8 @@ pub enum RetryClass {
     Worker,
     /// Bad scene or settings: an attempt is spent, and waiting would not help.
     Task,
-    /// A download failed: back off.
+    /// A download or an upload failed: back off.
     Transient,
-    /// Drain or shutdown: no attempt spent.
-    Interrupted,
-    /// A resource is missing for now: no attempt spent.
-    Deferred,
 }
 
 impl RetryClass {
@@ -170,8 +166,6 @@ impl RetryClass {
             Self::Worker => AttemptOutcome::Worker,
             Self::Task => AttemptOutcome::Task,
             Self::Transient => AttemptOutcome::Transient,
-            Self::Interrupted => AttemptOutcome::Interrupted,
-            Self::Deferred => AttemptOutcome::Deferred,
         }
     }
 }

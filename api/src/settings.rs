@@ -309,6 +309,6 @@ pub enum BuildQuality {
 pub enum Split {
     /// Columns and rows of tiles, 1 to 64 each.
     Tiles([u32; 2]),
-    /// Equal shares of the samples, 2 to 256.
+    /// Equal shares of the samples, 2 to 256; passes times pixels at most 268435456.
     Passes(u32),
 }

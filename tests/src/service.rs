@@ -48,8 +48,9 @@ impl Worker {
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        process::kill_tree(self.0.id());
-        let _ = self.0.wait();
+        if self.ended().is_none() {
+            self.kill();
+        }
     }
 }
 
@@ -113,8 +114,23 @@ impl Service {
     /// # Panics
     /// When it cannot be started.
     pub fn join_worker_through(&self, url: &str, cache: &Path) -> Worker {
+        self.spawn_worker(Command::new(binary::lightshaft()), url, cache)
+    }
+
+    /// A worker whose files cannot grow past so many KiB: longer writes fail with `EFBIG`.
+    ///
+    /// # Panics
+    /// When it cannot be started.
+    pub fn join_worker_with_small_files(&self, cache: &Path, kib: u32) -> Worker {
+        let mut shell = Command::new("bash");
+        // Ignored, the signal that comes with the error does not end the process (setrlimit(2)).
+        shell.args(["-c", "trap '' XFSZ; ulimit -f $0; exec \"$@\"", &kib.to_string()]).arg(binary::lightshaft());
+        self.spawn_worker(shell, &self.url, cache)
+    }
+
+    fn spawn_worker(&self, mut program: Command, url: &str, cache: &Path) -> Worker {
         let log = fs::OpenOptions::new().create(true).append(true).open(self.folder.path().join("serve.log"));
-        let child = Command::new(binary::lightshaft())
+        let child = program
             .args(["worker", "--device", "cpu", "--server", url, "--cache"])
             .arg(cache)
             .stdin(Stdio::null())

@@ -57,8 +57,12 @@ impl Inputs for Generated {
         Ok(self.map.clone())
     }
 
-    fn parts(&self) -> Result<Vec<(TaskWork, Vec<u8>)>, TaskError> {
-        Ok(self.parts.clone())
+    fn parts(&self) -> Vec<TaskWork> {
+        self.parts.iter().map(|(work, _)| work.clone()).collect()
+    }
+
+    fn part(&self, index: usize) -> Result<Vec<u8>, TaskError> {
+        Ok(self.parts[index].1.clone())
     }
 
     fn structures(&self) -> Option<&dyn StructureStore> {

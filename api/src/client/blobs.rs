@@ -16,12 +16,12 @@ impl Client {
     /// Stores `body` under the hash that it must have; repeating it is harmless.
     pub async fn put_blob(&self, hash: &str, body: impl Into<Body>) -> Result<StoredBlob> {
         let path = format!("v1/blobs/{}", segment(hash));
-        self.send_json(self.request(Method::PUT, &path).body(body)).await
+        Self::read_json(self.send_upload(self.request(Method::PUT, &path).body(body)).await?).await
     }
 
     /// Stores `body` and answers its hash.
     pub async fn store_blob(&self, body: impl Into<Body>) -> Result<StoredBlob> {
-        self.send_json(self.request(Method::POST, "v1/blobs").body(body)).await
+        Self::read_json(self.send_upload(self.request(Method::POST, "v1/blobs").body(body)).await?).await
     }
 
     /// Stores a file, streamed, and answers its hash.

@@ -45,7 +45,7 @@ impl Client {
     /// Uploads a scene; the flag says whether it is new (the same bytes give the same scene).
     pub async fn upload_scene(&self, upload: Upload, name: Option<&str>) -> Result<(Scene, bool)> {
         let request = self.request(Method::POST, "v1/scenes").query(&[("name", name)]);
-        let response = self.send(attach(request, upload).await?).await?;
+        let response = self.send_upload(attach(request, upload).await?).await?;
         let created = response.status() == StatusCode::CREATED;
         Ok((Self::read_json(response).await?, created))
     }
@@ -53,7 +53,7 @@ impl Client {
     /// Uploads a scene only to have it checked: nothing is kept.
     pub async fn validate_scene(&self, upload: Upload) -> Result<SceneSummary> {
         let request = self.request(Method::POST, "v1/scenes").query(&[("validate_only", "true")]);
-        self.send_json(attach(request, upload).await?).await
+        Self::read_json(self.send_upload(attach(request, upload).await?).await?).await
     }
 
     pub async fn scenes(&self, limit: Option<u32>, cursor: Option<&str>) -> Result<Page<Scene>> {

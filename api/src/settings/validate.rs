@@ -10,6 +10,10 @@ use crate::problem::FieldError;
 /// Pixels of one picture: 8192 x 8192.
 const MAX_PIXELS: u64 = 1 << 26;
 
+/// Pixels of all passes of a job together: each pass leaves a whole picture of sums, 24 bytes a pixel, which the service
+/// keeps until they are merged, and the merge reads them all.
+const MAX_PASS_PIXELS: u64 = 1 << 28;
+
 /// Of a structure of cells: enough for any small scene.
 const MIN_BUDGET_BYTES: u64 = 1 << 20;
 
@@ -119,6 +123,15 @@ impl RenderSettings {
                 let in_range = (2..=256).contains(&passes);
                 c.check(in_range, "split/passes", "must be 2 to 256");
                 c.check(!in_range || passes <= self.spp, "split/passes", "must not be more than spp");
+                let pixels = u64::from(self.width) * u64::from(self.height);
+                let most = MAX_PASS_PIXELS / pixels.max(1);
+                c.check(
+                    !in_range || pixels > MAX_PIXELS || u64::from(passes) <= most,
+                    "split/passes",
+                    &format!(
+                        "must be at most {most} for a picture of this size: passes times pixels at most 268435456"
+                    ),
+                );
             }
         }
     }
@@ -360,6 +373,11 @@ mod tests {
         assert_eq!(pointers(json!({ "width": 3, "split": { "tiles": [4, 1] } })), ["/settings/split/tiles"]);
         assert_eq!(pointers(json!({ "spp": 4, "split": { "passes": 5 } })), ["/settings/split/passes"]);
         assert_eq!(pointers(json!({ "spp": 4, "split": { "passes": 4 } })), [""; 0]);
+        let passes = |passes: u32| json!({ "width": 8192, "height": 8192, "spp": 256, "split": { "passes": passes } });
+        assert_eq!(pointers(passes(4)), [""; 0]);
+        assert_eq!(pointers(passes(5)), ["/settings/split/passes"], "each leaves 1.5 GiB of sums");
+        let tiles = json!({ "width": 8192, "height": 8192, "split": { "tiles": [64, 64] } });
+        assert_eq!(pointers(tiles), [""; 0], "tiles together are one picture");
     }
 
     #[test]

@@ -44,7 +44,9 @@ impl From<ClientError> for CliError {
                 Self::usage(message)
             }
             ClientError::Transport { source, .. } => Self::system(format!("{message}{}", causes(source))),
-            ClientError::Problem { .. } | ClientError::Unexpected { .. } => Self::system(message),
+            ClientError::Problem { .. } | ClientError::Unexpected { .. } | ClientError::Stalled { .. } => {
+                Self::system(message)
+            }
         }
     }
 }

@@ -123,8 +123,12 @@ impl Inputs for LocalInputs {
         })
     }
 
-    fn parts(&self) -> std::result::Result<Vec<(TaskWork, Vec<u8>)>, TaskError> {
-        Ok(Vec::new())
+    fn parts(&self) -> Vec<TaskWork> {
+        Vec::new()
+    }
+
+    fn part(&self, index: usize) -> std::result::Result<Vec<u8>, TaskError> {
+        Err(TaskError::bad_input(format!("a picture that is rendered here has no part {index}")))
     }
 
     fn structures(&self) -> Option<&dyn StructureStore> {

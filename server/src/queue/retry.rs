@@ -9,8 +9,6 @@ use super::Millis;
 const BACKOFF_BASE_MS: Millis = 10_000;
 /// Longest pause after a transient failure.
 const BACKOFF_MAX_MS: Millis = 600_000;
-/// Pause of a whole job for which something is missing.
-const DEFER_MS: Millis = 30_000;
 
 /// After a failure of class `worker`, the same worker gets the task again after this pause at the earliest: a driver
 /// that has lost its device may need a moment.
@@ -26,11 +24,10 @@ pub const BLOCK_MS: Millis = 600_000;
 /// Where a task goes after an attempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// Again, not before `run_at`. `spends` says whether the attempt counts; `whole_job` whether its siblings wait too.
+    /// Again, not before `run_at`. `spends` says whether the attempt counts.
     Ready {
         run_at: Millis,
         spends: bool,
-        whole_job: bool,
     },
     /// Failed for good, by its own word.
     Failed,
@@ -60,14 +57,12 @@ pub fn after_failure(failure: Failure) -> Next {
         return Next::Cancelled;
     }
     let again = |run_at| {
-        if spent + 1 >= max_attempts { Next::Dead } else { Next::Ready { run_at, spends: true, whole_job: false } }
+        if spent + 1 >= max_attempts { Next::Dead } else { Next::Ready { run_at, spends: true } }
     };
     match class {
         RetryClass::Task if fatal => Next::Failed,
         RetryClass::Worker | RetryClass::Task => again(now),
         RetryClass::Transient => again(now + backoff_ms(spent + 1, jitter)),
-        RetryClass::Interrupted => Next::Ready { run_at: now, spends: false, whole_job: false },
-        RetryClass::Deferred => Next::Ready { run_at: now + DEFER_MS, spends: false, whole_job: true },
     }
 }
 
@@ -95,7 +90,7 @@ pub fn after_expiry(expiry: Expiry) -> Next {
     if poison || spent + 1 >= max_attempts {
         return Next::Dead;
     }
-    Next::Ready { run_at: now, spends: true, whole_job: false }
+    Next::Ready { run_at: now, spends: true }
 }
 
 /// `min(10 s * 4^(n-1), 10 min)`, 20 % more or less by `jitter`, so that failures do not come back in step.
@@ -127,32 +122,15 @@ mod tests {
     #[test]
     fn worker_and_task_failures_go_again_at_once_until_attempts_are_used_up() {
         for class in [RetryClass::Worker, RetryClass::Task] {
-            assert_eq!(fail(class, 0), Next::Ready { run_at: NOW, spends: true, whole_job: false });
+            assert_eq!(fail(class, 0), Next::Ready { run_at: NOW, spends: true });
             assert_eq!(fail(class, 2), Next::Dead);
         }
     }
 
     #[test]
     fn transient_failures_wait() {
-        assert_eq!(
-            fail(RetryClass::Transient, 1),
-            Next::Ready { run_at: NOW + 40_000, spends: true, whole_job: false }
-        );
+        assert_eq!(fail(RetryClass::Transient, 1), Next::Ready { run_at: NOW + 40_000, spends: true });
         assert_eq!(fail(RetryClass::Transient, 2), Next::Dead);
-    }
-
-    #[test]
-    fn interruptions_and_missing_resources_cost_no_attempt() {
-        for spent in 0..10 {
-            assert_eq!(
-                fail(RetryClass::Interrupted, spent),
-                Next::Ready { run_at: NOW, spends: false, whole_job: false }
-            );
-            assert_eq!(
-                fail(RetryClass::Deferred, spent),
-                Next::Ready { run_at: NOW + 30_000, spends: false, whole_job: true }
-            );
-        }
     }
 
     #[test]
@@ -176,7 +154,7 @@ mod tests {
         let expiry = |spent, phase, phase_before| {
             after_expiry(Expiry { cancel_requested: false, spent, max_attempts: 10, phase, phase_before, now: NOW })
         };
-        let ready = Next::Ready { run_at: NOW, spends: true, whole_job: false };
+        let ready = Next::Ready { run_at: NOW, spends: true };
         assert_eq!(expiry(0, Some(Phase::Render), None), ready);
         assert_eq!(expiry(1, Some(Phase::Render), Some(Phase::Render)), Next::Dead);
         assert_eq!(expiry(1, Some(Phase::Render), Some(Phase::Import)), ready);

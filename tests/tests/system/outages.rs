@@ -1,6 +1,7 @@
 //! Workers that lose the service, and services that lose their workers, at every stage of a task: the job is done
 //! exactly once all the same.
 
+use std::path::Path;
 use std::time::Duration;
 
 use lightshaft_tests::{Proxy, Service, Worker, process};
@@ -145,4 +146,30 @@ async fn a_worker_killed_while_it_merges() {
 async fn a_worker_killed_before_its_report_arrives() {
     let struck = struck("POST /v1/leases/", true, short()).await;
     is_done_once(&struck, &["expired", "succeeded"]).await;
+}
+
+#[tokio::test]
+async fn a_worker_that_cannot_write_its_cache_says_so_and_does_the_next_job() {
+    let service = Service::start_with(FARM);
+    // Writes fail past 256 KiB of a file, as they do on a full disk.
+    let cache = service.scratch("small");
+    let _worker = service.join_worker_with_small_files(&cache, 256);
+    let big = service.generated(&["furnace-sphere", "--triangles", "40000"]).await;
+    let small = service.generated(&["cornell-box"]).await;
+
+    let job = service.submit(&big, short()).await;
+    let job = service.job_in(&job, &["succeeded", "failed"]).await;
+    assert_eq!(outcomes(&job), ["worker", "worker", "worker"], "no verdict on the job: {job:#}");
+    let error = job["error"].as_str().expect("an error");
+    assert!(error.contains("could not be written to the worker's cache"), "{error}");
+    assert_eq!(files_below(&cache.join("blobs")), 0, "nothing half written is left");
+
+    let job = service.render(&small, short()).await;
+    assert_one_picture(&service, &job).await;
+    assert_eq!(files_below(&cache.join("blobs")), 1);
+}
+
+fn files_below(folder: &Path) -> usize {
+    let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    entries.map(|path| if path.is_dir() { files_below(&path) } else { 1 }).sum()
 }

@@ -2,17 +2,21 @@
 //!
 //! Several worker processes may share one folder, so nothing here relies on knowing all of its content: an entry
 //! appears by an atomic rename of a complete temporary file, and disappears by being deleted, which a reader takes for
-//! a miss. A temporary file is locked by its writer for as long as it lives; one that nobody locks was left by a process
-//! that died, and is deleted when the folder is opened next.
+//! a miss. Locks of files tell processes of each other, and end with the process that holds them, however it ends:
+//!
+//! - a temporary file is locked by its writer; one that nobody locks was left by a process that died, and is deleted
+//!   when the folder is opened next;
+//! - an entry is locked (shared) by whoever needs it to stay; eviction spares what it cannot lock for itself.
+//!
+//! The budget is that of one process: each counts what it has written since it last looked at the whole folder, so
+//! together they may exceed it for a while.
 //!
 //! Files are not synced: after a power failure an entry may be empty or torn, so readers check what they read.
 
-use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
 const TEMPORARY_FOLDER: &str = "tmp";
@@ -26,7 +30,6 @@ pub struct DiskStore {
     budget_bytes: u64,
     /// As of the last scan, plus what was written since.
     used_bytes: AtomicU64,
-    pins: Arc<Mutex<HashMap<String, usize>>>,
     next_temporary: AtomicU64,
 }
 
@@ -41,11 +44,10 @@ impl DiskStore {
             folder: folder.to_owned(),
             budget_bytes,
             used_bytes: AtomicU64::new(0),
-            pins: Arc::default(),
             next_temporary: AtomicU64::new(0),
         };
         store.delete_orphans()?;
-        store.evict()?;
+        store.evict_if_over(budget_bytes)?;
         Ok(store)
     }
 
@@ -65,7 +67,7 @@ impl DiskStore {
     pub fn write(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
         let mut pending = self.begin()?;
         pending.file.write_all(bytes)?;
-        self.commit(pending, name)
+        self.commit(pending, name).map(drop)
     }
 
     /// A temporary file, deleted unless it is committed.
@@ -77,19 +79,25 @@ impl DiskStore {
         Ok(PendingFile { file, path, committed: false })
     }
 
-    /// Makes the file an entry, and evicts older ones when the budget is exceeded. The new entry always stays.
-    pub fn commit(&self, mut pending: PendingFile, name: &str) -> io::Result<()> {
+    /// Makes the file an entry, and evicts others when the budget is exceeded. The new entry stays while its pin lives.
+    pub fn commit(&self, mut pending: PendingFile, name: &str) -> io::Result<Pin> {
         pending.file.flush()?;
         let bytes = pending.file.metadata()?.len();
         let path = self.path(name);
         if let Some(parent) = path.parent() {
             fs::create_dir_all(parent)?;
         }
-        let _pin = self.pin(name);
+        // Locked all the time: first as a file that is being written, then as an entry in use.
+        let file = pending.file.try_clone()?;
         fs::rename(&pending.path, &path)?;
         pending.committed = true;
+        file.lock_shared()?;
+        let pin = Pin { _file: file };
         let used = self.used_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes;
-        if used > self.budget_bytes { self.evict() } else { Ok(()) }
+        if used > self.budget_bytes {
+            self.evict_if_over(self.budget_bytes)?;
+        }
+        Ok(pin)
     }
 
     pub fn remove(&self, name: &str) -> io::Result<()> {
@@ -112,11 +120,22 @@ impl DiskStore {
         self.folder.join(shard).join(name)
     }
 
-    /// While the pin lives, this process does not evict the entry.
-    pub fn pin(&self, name: &str) -> Pin {
-        let mut pins = self.pins.lock().unwrap_or_else(PoisonError::into_inner);
-        *pins.entry(name.to_owned()).or_default() += 1;
-        Pin { name: name.to_owned(), pins: Arc::clone(&self.pins) }
+    /// Keeps the entry from eviction, by whatever process, while the pin lives, and notes that it was used now; `None`
+    /// when there is no such entry.
+    pub fn pin(&self, name: &str) -> io::Result<Option<Pin>> {
+        let path = self.path(name);
+        let file = match File::open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        // Whoever evicts holds its lock for a moment; then the file is gone, though it is still open here.
+        file.lock_shared()?;
+        if !is_at(&file, &path)? {
+            return Ok(None);
+        }
+        touch(&path);
+        Ok(Some(Pin { _file: file }))
     }
 
     pub fn used_bytes(&self) -> u64 {
@@ -125,7 +144,17 @@ impl DiskStore {
 
     /// Names of all entries.
     pub fn names(&self) -> io::Result<Vec<String>> {
-        Ok(self.scan()?.into_iter().map(|entry| entry.name).collect())
+        let mut names = Vec::new();
+        self.each_file(|file| names.extend(file.file_name().into_string()))?;
+        Ok(names)
+    }
+
+    /// Evicts what was not used for the longest time until half of what is there is gone; whether anything went.
+    pub fn make_room(&self) -> io::Result<bool> {
+        let used = self.scan()?.iter().map(|entry| entry.bytes).sum::<u64>();
+        tracing::warn!(used_bytes = used, "the cache's disk is full: making room");
+        self.evict(self.scan()?, used / 2);
+        Ok(self.used_bytes() < used)
     }
 
     fn delete_orphans(&self) -> io::Result<()> {
@@ -139,28 +168,45 @@ impl DiskStore {
         Ok(())
     }
 
-    fn evict(&self) -> io::Result<()> {
-        let mut entries = self.scan()?;
+    fn evict_if_over(&self, budget_bytes: u64) -> io::Result<()> {
+        let entries = self.scan()?;
+        let used: u64 = entries.iter().map(|entry| entry.bytes).sum();
+        let target = if used > budget_bytes { (budget_bytes as f64 * EVICT_TO) as u64 } else { used };
+        self.evict(entries, target);
+        Ok(())
+    }
+
+    /// Deletes entries, the least recently used first, until no more than `target` bytes are left or all are in use.
+    fn evict(&self, mut entries: Vec<Entry>, target: u64) {
         let mut used: u64 = entries.iter().map(|entry| entry.bytes).sum();
-        if used > self.budget_bytes {
-            entries.sort_by_key(|entry| entry.used_at);
-            let target = (self.budget_bytes as f64 * EVICT_TO) as u64;
-            for entry in entries {
-                if used <= target {
-                    break;
-                }
-                let pinned = self.pins.lock().unwrap_or_else(PoisonError::into_inner).contains_key(&entry.name);
-                if !pinned && fs::remove_file(self.path(&entry.name)).is_ok() {
-                    used -= entry.bytes;
-                }
+        entries.sort_by_key(|entry| entry.used_at);
+        for entry in entries {
+            if used <= target {
+                break;
+            }
+            let path = self.path(&entry.name);
+            // Locked until it is deleted.
+            let unused = File::open(&path).ok().filter(|file| file.try_lock().is_ok());
+            if unused.is_some() && fs::remove_file(&path).is_ok() {
+                used -= entry.bytes;
             }
         }
         self.used_bytes.store(used, Ordering::Relaxed);
-        Ok(())
     }
 
     fn scan(&self) -> io::Result<Vec<Entry>> {
         let mut entries = Vec::new();
+        self.each_file(|file| {
+            // Another process may have evicted it meanwhile.
+            if let (Ok(meta), Ok(name)) = (file.metadata(), file.file_name().into_string()) {
+                let used_at = meta.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+                entries.push(Entry { name, bytes: meta.len(), used_at });
+            }
+        })?;
+        Ok(entries)
+    }
+
+    fn each_file(&self, mut visit: impl FnMut(&fs::DirEntry)) -> io::Result<()> {
         for shard in fs::read_dir(&self.folder)? {
             let shard = shard?;
             if shard.file_name() == TEMPORARY_FOLDER || !shard.file_type()?.is_dir() {
@@ -168,15 +214,12 @@ impl DiskStore {
             }
             for file in fs::read_dir(shard.path())? {
                 let file = file?;
-                // Another process may have evicted it meanwhile.
-                let Ok(meta) = file.metadata() else { continue };
-                if let (true, Ok(name)) = (meta.is_file(), file.file_name().into_string()) {
-                    let used_at = meta.modified().unwrap_or(SystemTime::UNIX_EPOCH);
-                    entries.push(Entry { name, bytes: meta.len(), used_at });
+                if file.file_type()?.is_file() {
+                    visit(&file);
                 }
             }
         }
-        Ok(entries)
+        Ok(())
     }
 }
 
@@ -191,6 +234,19 @@ fn touch(path: &Path) {
     if let Ok(file) = File::options().append(true).open(path) {
         let _ = file.set_modified(SystemTime::now());
     }
+}
+
+/// Whether the open file is still the one at `path`.
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> io::Result<bool> {
+    use std::os::unix::fs::MetadataExt;
+    let open = file.metadata()?;
+    Ok(fs::metadata(path).is_ok_and(|there| (there.dev(), there.ino()) == (open.dev(), open.ino())))
+}
+
+#[cfg(not(unix))]
+fn is_at(_: &File, path: &Path) -> io::Result<bool> {
+    path.try_exists()
 }
 
 /// A file that becomes an entry by [`DiskStore::commit`] and is deleted otherwise.
@@ -228,20 +284,8 @@ impl Drop for PendingFile {
 /// See [`DiskStore::pin`].
 #[derive(Debug)]
 pub struct Pin {
-    name: String,
-    pins: Arc<Mutex<HashMap<String, usize>>>,
-}
-
-impl Drop for Pin {
-    fn drop(&mut self) {
-        let mut pins = self.pins.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = pins.get_mut(&self.name) {
-            *count -= 1;
-            if *count == 0 {
-                pins.remove(&self.name);
-            }
-        }
-    }
+    /// Holds the lock.
+    _file: File,
 }
 
 #[cfg(test)]
@@ -294,13 +338,45 @@ mod tests {
         let (_folder, store) = store(10);
         store.write("aa", &[0; 8]).unwrap();
         age(&store, "aa", 100);
-        let pin = store.pin("aa");
+        let pin = store.pin("aa").unwrap();
+        age(&store, "aa", 100);
         store.write("bb", &[0; 20]).unwrap();
         assert!(store.read("aa").unwrap().is_some() && store.read("bb").unwrap().is_some());
         age(&store, "aa", 100);
         drop(pin);
         store.write("cc", &[0; 1]).unwrap();
         assert!(store.read("aa").unwrap().is_none());
+    }
+
+    #[test]
+    fn what_one_process_uses_another_one_spares() {
+        let (folder, ours) = store(10);
+        // Locks belong to open files: a second store on the folder is as good as a second process.
+        let theirs = DiskStore::open(folder.path(), 10).unwrap();
+        ours.write("aa", &[0; 8]).unwrap();
+        let pin = theirs.pin("aa").unwrap().expect("it is there");
+        age(&ours, "aa", 100);
+        ours.write("bb", &[0; 8]).unwrap();
+        assert!(ours.read("aa").unwrap().is_some());
+        drop(pin);
+        age(&ours, "aa", 100);
+        ours.write("cc", &[0; 8]).unwrap();
+        assert!(theirs.pin("aa").unwrap().is_none());
+    }
+
+    #[test]
+    fn room_is_made_at_the_cost_of_what_was_used_longest_ago() {
+        let (_folder, store) = store(1000);
+        for (name, seconds) in [("aa", 30), ("bb", 20), ("cc", 10), ("dd", 5)] {
+            store.write(name, &[0; 30]).unwrap();
+            age(&store, name, seconds);
+        }
+        assert!(store.make_room().unwrap());
+        let mut names = store.names().unwrap();
+        names.sort();
+        assert_eq!((names, store.used_bytes()), (vec!["cc".to_owned(), "dd".to_owned()], 60));
+        let _pins = [store.pin("cc").unwrap(), store.pin("dd").unwrap()];
+        assert!(!store.make_room().unwrap(), "all is in use");
     }
 
     #[test]
@@ -322,7 +398,7 @@ mod tests {
         let again = DiskStore::open(folder.path(), 100).unwrap();
         assert!(!left_behind.exists());
         alive.write_all(b"whole").unwrap();
-        store.commit(alive, "aa").unwrap();
+        drop(store.commit(alive, "aa").unwrap());
         assert_eq!(again.read("aa").unwrap().as_deref(), Some(&b"whole"[..]));
     }
 }

@@ -10,6 +10,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use lightshaft_api::job::{CacheReport, CacheSource};
+use lightshaft_api::worker::CacheStatus;
 use lightshaft_engine::accel::{BuildError, Structure, StructureKey};
 use lightshaft_engine::scene::Mesh;
 
@@ -92,26 +93,19 @@ impl StructureCache {
         Ok(Obtained { structure, report, warnings })
     }
 
-    /// Hashes of the meshes whose structures are at hand, at most `limit`.
-    pub fn warm_meshes(&self, limit: usize) -> Vec<String> {
-        let mut meshes: HashSet<String> = self.memory().kept.keys().map(|key| key.mesh.to_string()).collect();
-        if let Some(names) = self.disk.as_ref().and_then(|disk| disk.names().ok()) {
-            meshes.extend(names.iter().filter_map(|name| name.split_once('-')).map(|(mesh, _)| mesh.to_owned()));
-        }
-        meshes.into_iter().take(limit).collect()
-    }
-
-    /// What is held, for the service's page of workers.
-    pub fn status(&self) -> lightshaft_api::worker::CacheStatus {
-        let names = self.disk.as_ref().and_then(|disk| disk.names().ok()).unwrap_or_default();
+    /// What is at hand: hashes of at most `limit` meshes with structures, and how much that is. Lists the folder once.
+    pub fn holdings(&self, limit: usize) -> (Vec<String>, CacheStatus) {
+        let listed = self.disk.as_ref().and_then(|disk| disk.names().ok()).unwrap_or_default();
         let memory = self.memory();
-        let in_memory_only = memory.kept.keys().filter(|key| !names.contains(&file_name(key))).count();
-        lightshaft_api::worker::CacheStatus {
+        let names: HashSet<String> = listed.into_iter().chain(memory.kept.keys().map(file_name)).collect();
+        let status = CacheStatus {
             memory_bytes: memory.kept.used_bytes(),
             memory_budget_bytes: memory.kept.budget_bytes(),
             disk_bytes: self.disk.as_ref().map_or(0, DiskStore::used_bytes),
-            entries: (names.len() + in_memory_only) as u64,
-        }
+            entries: names.len() as u64,
+        };
+        let meshes: HashSet<&str> = names.iter().filter_map(|name| name.split_once('-')).map(|name| name.0).collect();
+        (meshes.into_iter().take(limit).map(str::to_owned).collect(), status)
     }
 
     fn find<R: Recipe>(

@@ -1,5 +1,6 @@
 //! What a running task shows of itself: progress, and a preview that is uploaded beside the rendering.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lightshaft_api::client::Client;
@@ -13,6 +14,8 @@ use crate::executor::{Observer, Progress};
 pub(super) struct Live {
     state: Mutex<State>,
     preview_waits: Notify,
+    /// Whether the last heartbeat was not answered.
+    service_is_away: AtomicBool,
     pub(super) log: LogBuffer,
 }
 
@@ -31,6 +34,16 @@ impl Live {
     pub(super) fn snapshot(&self) -> (Progress, Option<String>) {
         let mut state = self.state();
         (state.progress, state.uploaded.take())
+    }
+
+    /// Notes whether the service answered a heartbeat.
+    pub(super) fn note_answer(&self, answered: bool) {
+        self.service_is_away.store(!answered, Ordering::Relaxed);
+    }
+
+    /// Whether the service answered the last heartbeat.
+    pub(super) fn service_answers(&self) -> bool {
+        !self.service_is_away.load(Ordering::Relaxed)
     }
 
     /// Uploads previews until dropped; one that does not arrive is no loss.

@@ -28,9 +28,7 @@ struct Pending {
 
 impl LogBuffer {
     pub(super) fn push(&self, line: String) {
-        let time = Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.3fZ");
-        let line: String = line.replace(['\n', '\r'], " ").chars().take(MAX_LINE_CHARS).collect();
-        self.pending().lines.push(format!("{time} {line}"));
+        self.pending().lines.push(stamped(&line));
     }
 
     /// Ships what comes until dropped.
@@ -45,10 +43,12 @@ impl LogBuffer {
     pub(super) async fn flush(&self, client: &Client, token: &str) {
         while let Some(chunk) = self.next_chunk() {
             match client.append_log(token, &chunk).await {
-                Ok(accepted) => self.accepted(accepted.next_sequence),
+                // Should it take nothing of what it asked for itself, asking at once again would be in vain.
+                Ok(accepted) if !self.accepted(accepted.next_sequence) => return,
+                Ok(_) => {}
                 Err(error) if error.is_transient() => return,
                 // The service does not want them: a stale lease, say. The heartbeat will tell what that means.
-                Err(_) => return self.accepted(u64::MAX),
+                Err(_) => return self.drop_all(),
             }
         }
     }
@@ -62,16 +62,40 @@ impl LogBuffer {
         Some(LogChunk { first_sequence: pending.first, lines: pending.lines[..count].to_vec() })
     }
 
-    fn accepted(&self, next_sequence: u64) {
+    /// Goes on from the line that the service wants next; whether that is another one than before.
+    ///
+    /// Lines that it took once are gone here. When it wants them again, having lost its log, the others go on under their
+    /// numbers, after a line that says so.
+    fn accepted(&self, next_sequence: u64) -> bool {
         let mut pending = self.pending();
-        let count = next_sequence.saturating_sub(pending.first).min(pending.lines.len() as u64);
+        if next_sequence < pending.first {
+            let lost = pending.first - next_sequence;
+            pending.first = next_sequence;
+            pending.lines.insert(0, stamped(&format!("{lost} lines of this log were lost")));
+            return true;
+        }
+        let count = (next_sequence - pending.first).min(pending.lines.len() as u64);
         pending.lines.drain(..count as usize);
         pending.first += count;
+        count > 0
+    }
+
+    fn drop_all(&self) {
+        let mut pending = self.pending();
+        pending.first += pending.lines.len() as u64;
+        pending.lines.clear();
     }
 
     fn pending(&self) -> MutexGuard<'_, Pending> {
         self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// One line, with the time before it.
+fn stamped(line: &str) -> String {
+    let time = Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.3fZ");
+    let line: String = line.replace(['\n', '\r'], " ").chars().take(MAX_LINE_CHARS).collect();
+    format!("{time} {line}")
 }
 
 #[cfg(test)]
@@ -88,11 +112,33 @@ mod tests {
         assert_eq!((chunk.first_sequence, chunk.lines.len()), (0, 2));
         assert!(chunk.lines[1].ends_with("Z b c"), "{:?}", chunk.lines);
         assert_eq!(log.next_chunk().unwrap(), chunk, "not accepted yet");
-        log.accepted(1);
+        assert!(log.accepted(1));
         log.push("d".into());
         let chunk = log.next_chunk().unwrap();
         assert_eq!((chunk.first_sequence, chunk.lines.len()), (1, 2));
+        assert!(log.accepted(3));
+        assert_eq!(log.next_chunk(), None);
+    }
+
+    #[test]
+    fn a_service_that_takes_nothing_is_not_asked_again_at_once() {
+        let log = LogBuffer::default();
+        log.push("a".into());
+        assert!(!log.accepted(0), "nothing got on");
+        assert_eq!(log.next_chunk().unwrap().first_sequence, 0);
+    }
+
+    #[test]
+    fn after_a_gap_that_cannot_be_filled_the_log_goes_on_and_says_so() {
+        let log = LogBuffer::default();
+        ["a", "b", "c"].into_iter().for_each(|line| log.push(line.into()));
         log.accepted(3);
+        log.push("d".into());
+        assert!(log.accepted(1), "the service was restored from an old copy, say");
+        let chunk = log.next_chunk().unwrap();
+        assert_eq!(chunk.first_sequence, 1);
+        assert!(chunk.lines[0].ends_with(" 2 lines of this log were lost") && chunk.lines[1].ends_with(" d"));
+        assert!(log.accepted(3));
         assert_eq!(log.next_chunk(), None);
     }
 

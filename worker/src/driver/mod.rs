@@ -8,12 +8,13 @@ mod inputs;
 mod live;
 mod log;
 mod shutdown;
+mod stop;
+mod tries;
 mod work;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use lightshaft_api::client::{Client, ClientError};
@@ -120,7 +121,10 @@ pub async fn run(config: WorkerConfig) -> Result<(), WorkerError> {
             order = orders.next() => {
                 tracing::info!(?order, busy = protocol.is_busy(), "leaving");
                 Some(match order {
-                    Order::Drain => Input::Drain,
+                    Order::Drain => {
+                        driver.hurry();
+                        Input::Drain
+                    }
                     Order::Leave => {
                         leave_by.get_or_insert(Instant::now() + LEAVE_DEADLINE);
                         Input::Shutdown
@@ -190,7 +194,7 @@ impl Driver {
             Effect::Heartbeat(epoch) => self.heartbeat(epoch, sender.clone()),
             Effect::Stop(epoch) => {
                 if let Some(running) = self.running.as_ref().filter(|running| running.epoch == epoch) {
-                    running.stop.store(true, Ordering::Relaxed);
+                    running.stop.ask();
                 }
             }
             Effect::Report(epoch, report) => self.report(epoch, report, sender.clone()),
@@ -206,6 +210,13 @@ impl Driver {
             }
             // Ends the loop before it gets here.
             Effect::Exit(_) => {}
+        }
+    }
+
+    /// The task in hand is the last: what only others would gain from is left undone.
+    fn hurry(&self) {
+        if let Some(running) = &self.running {
+            running.hurry.cancel();
         }
     }
 
@@ -233,14 +244,9 @@ impl Driver {
         let blobs = Arc::clone(&self.blobs);
         tokio::spawn(async move {
             let request = tokio::task::spawn_blocking(move || {
-                let structures = executor.structures();
-                let status = structures.status();
-                LeaseRequest {
-                    worker,
-                    wait_s: POLL_WAIT_S,
-                    warm: structures.warm_meshes(WARM_LIMIT),
-                    cache: CacheStatus { disk_bytes: status.disk_bytes + blobs.used_bytes(), ..status },
-                }
+                let (warm, status) = executor.structures().holdings(WARM_LIMIT);
+                let cache = CacheStatus { disk_bytes: status.disk_bytes + blobs.used_bytes(), ..status };
+                LeaseRequest { worker, wait_s: POLL_WAIT_S, warm, cache }
             });
             let answer = match request.await {
                 Ok(request) => client.lease(&request).await.map_err(|error| call_error("lease", &error)),
@@ -265,6 +271,7 @@ impl Driver {
                 Ok(answer) => answer.map_err(|error| call_error("heartbeat", &error)),
                 Err(_) => Err(CallError::Unavailable { retry_after: None }),
             };
+            live.note_answer(!matches!(answer, Err(CallError::Unavailable { .. })));
             let _ = sender.send(Input::Beat(epoch, answer));
         });
     }
@@ -310,9 +317,10 @@ fn call_error(call: &'static str, error: &ClientError) -> CallError {
         ClientError::Unexpected { status, .. } => {
             CallError::Refused(format!("it answered {status} in a form that is not this API's"))
         }
-        ClientError::Transport { .. } | ClientError::Address { .. } | ClientError::File { .. } => {
-            CallError::Unavailable { retry_after: None }
-        }
+        ClientError::Transport { .. }
+        | ClientError::Stalled { .. }
+        | ClientError::Address { .. }
+        | ClientError::File { .. } => CallError::Unavailable { retry_after: None },
     };
     match &reaction {
         CallError::Unavailable { .. } => tracing::warn!(call, status = error.status(), "no good answer; trying again"),

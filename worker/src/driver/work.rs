@@ -2,23 +2,27 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use lightshaft_api::client::{Client, ClientError};
 use lightshaft_api::lease::{Complete, Fail, Lease, NewArtifact, RetryClass};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::UnboundedSender;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
 
-use super::inputs::LeasedInputs;
+use super::inputs::{Kept, LeasedInputs};
 use super::live::Live;
+use super::stop::Stop;
+use super::tries::Tries;
 use crate::cache::BlobCache;
 use crate::executor::{Artifact, Executor, Outputs, TaskError};
 use crate::protocol::{Epoch, Input, Outcome};
 
-/// Between two tries to upload an artifact.
-const UPLOAD_PAUSE: Duration = Duration::from_secs(1);
+/// How long the report of a task waits for the structures that it has built to arrive at the service: whoever sees the
+/// task done finds them then. Longer uploads go on beside the next task.
+const STRUCTURES_PATIENCE: Duration = Duration::from_secs(10);
 
 const MAX_ERROR_CHARS: usize = 4000;
 
@@ -37,7 +41,9 @@ pub(super) struct Running {
     /// Carries on the trace of the job.
     pub(super) client: Client,
     pub(super) live: Arc<Live>,
-    pub(super) stop: Arc<AtomicBool>,
+    pub(super) stop: Arc<Stop>,
+    /// No task comes after this one.
+    pub(super) hurry: CancellationToken,
 }
 
 impl Running {
@@ -53,7 +59,7 @@ impl Running {
     ) -> Self {
         let client = client.with_traceparent(lease.traceparent.clone());
         let live = Arc::new(Live::default());
-        let stop = Arc::new(AtomicBool::new(false));
+        let (stop, hurry) = (Arc::new(Stop::default()), CancellationToken::new());
         let span = tracing::info_span!(
             "task",
             job.id = lease.job,
@@ -69,6 +75,7 @@ impl Running {
             client: client.clone(),
             live: Arc::clone(&live),
             stop: Arc::clone(&stop),
+            hurry: hurry.clone(),
             executor: Arc::clone(executor),
             blobs: Arc::clone(blobs),
         };
@@ -80,7 +87,7 @@ impl Running {
             }
             .instrument(span),
         );
-        Self { epoch, token, beat_patience, client, live, stop }
+        Self { epoch, token, beat_patience, client, live, stop, hurry }
     }
 }
 
@@ -88,7 +95,8 @@ struct Work {
     lease: Arc<Lease>,
     client: Client,
     live: Arc<Live>,
-    stop: Arc<AtomicBool>,
+    stop: Arc<Stop>,
+    hurry: CancellationToken,
     executor: Arc<Executor>,
     blobs: Arc<BlobCache>,
 }
@@ -146,14 +154,21 @@ impl Work {
 
     /// Renders on a thread where blocking is allowed. A panic is an error of the task like any other.
     async fn execute(&self) -> Result<Outputs, TaskError> {
-        let inputs =
-            LeasedInputs::new(Arc::clone(&self.lease), self.client.clone(), Arc::clone(&self.blobs), Handle::current());
+        let inputs = LeasedInputs {
+            lease: Arc::clone(&self.lease),
+            client: self.client.clone(),
+            blobs: Arc::clone(&self.blobs),
+            live: Arc::clone(&self.live),
+            stop: Arc::clone(&self.stop),
+            runtime: Handle::current(),
+            kept: Kept::default(),
+        };
         let (lease, live) = (Arc::clone(&self.lease), Arc::clone(&self.live));
         let (executor, stop) = (Arc::clone(&self.executor), Arc::clone(&self.stop));
         let span = tracing::Span::current();
         let rendering = tokio::task::spawn_blocking(move || {
             let _in_task = span.enter();
-            let run = || executor.run(&lease.work, &lease.settings, &inputs, &*live, &stop);
+            let run = || executor.run(&lease.work, &lease.settings, &inputs, &*live, stop.flag());
             let result = std::panic::catch_unwind(AssertUnwindSafe(run));
             (result, inputs.take_uploads())
         });
@@ -164,8 +179,20 @@ impl Work {
         };
         let Ok((result, uploads)) = rendering.await else { return Err(panicked()) };
         let outputs = result.map_err(|_| panicked())??;
-        uploads.join_all().await;
+        self.finish_structures(uploads).await;
         Ok(outputs)
+    }
+
+    /// Structures serve other workers, and later jobs: neither a worker that leaves nor a task that is not wanted any more
+    /// waits for them.
+    async fn finish_structures(&self, mut uploads: JoinSet<()>) {
+        let finished = async { while uploads.join_next().await.is_some() {} };
+        tokio::select! {
+            () = finished => {}
+            () = self.stop.asked() => uploads.abort_all(),
+            () = self.hurry.cancelled() => uploads.abort_all(),
+            () = tokio::time::sleep(STRUCTURES_PATIENCE) => uploads.detach_all(),
+        }
     }
 
     /// Outputs go to the blob store before the task is completed: a late upload harms nothing.
@@ -185,17 +212,16 @@ impl Work {
     async fn upload_one(&self, artifact: Artifact) -> Result<NewArtifact, TaskError> {
         let body = bytes::Bytes::from(artifact.bytes);
         let hash = blake3::hash(&body).to_hex().to_string();
+        let mut tries = Tries::new(&self.live, &self.stop);
         loop {
-            if self.stop.load(Ordering::Relaxed) {
-                return Err(TaskError::Stopped);
-            }
-            match self.client.put_blob(&hash, body.clone()).await {
+            let put = tokio::select! {
+                put = self.client.put_blob(&hash, body.clone()) => put,
+                () = self.stop.asked() => return Err(TaskError::Stopped),
+            };
+            match put {
                 Ok(_) => break,
-                Err(error) if error.is_transient() => tokio::time::sleep(UPLOAD_PAUSE).await,
-                Err(ClientError::Problem { problem, .. }) => {
-                    return Err(TaskError::transient(format!("{}: {}", artifact.name, problem.detail)));
-                }
-                Err(_) => return Err(TaskError::transient(format!("{} could not be uploaded", artifact.name))),
+                Err(error) if tries.again(&error).await? => {}
+                Err(error) => return Err(upload_error(artifact.name, &error)),
             }
         }
         Ok(NewArtifact {
@@ -204,5 +230,44 @@ impl Work {
             bytes: body.len() as u64,
             blob: hash,
         })
+    }
+}
+
+/// What could not be stored may be later. What the service refuses, such as a file over its limit, it will refuse again;
+/// only other bytes than were sent (422) are an accident of the way.
+fn upload_error(name: &str, error: &ClientError) -> TaskError {
+    match error {
+        ClientError::Problem { problem, .. } if !error.is_transient() && problem.status != 422 => TaskError::Failed {
+            class: RetryClass::Task,
+            fatal: false,
+            message: format!("the service refused {name}: {}", problem.detail),
+        },
+        ClientError::Problem { problem, .. } => {
+            TaskError::transient(format!("{name} could not be stored: {}", problem.detail))
+        }
+        _ => TaskError::transient(format!("{name} could not be uploaded")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_upload_that_fails_is_tried_elsewhere_unless_it_is_refused() {
+        let class = |status: u16| {
+            let problem = lightshaft_api::problem::Problem {
+                status,
+                detail: "why".into(),
+                ..serde_json::from_str(r#"{"type":"t","title":"t","status":0,"detail":""}"#).unwrap()
+            };
+            let error = ClientError::Problem { problem: Box::new(problem), retry_after: None };
+            match upload_error("image.png", &error) {
+                TaskError::Failed { class, fatal: false, message } if message.contains("why") => class,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!([507, 503, 429, 422].map(class), [RetryClass::Transient; 4]);
+        assert_eq!([413, 400].map(class), [RetryClass::Task; 2]);
     }
 }

@@ -24,7 +24,7 @@ use lightshaft_api::lease::RetryClass;
 use lightshaft_api::settings::RenderSettings;
 use lightshaft_engine::device::{DeviceError, Region};
 use lightshaft_engine::film::{AovBuffers, PassFilm};
-use lightshaft_engine::scene::{Limits, Source};
+use lightshaft_engine::scene::{ImportError, ImportErrorKind, Limits, Source};
 
 use crate::cache::{StructureCache, StructureStore};
 
@@ -47,8 +47,11 @@ pub trait Inputs: Sync {
     /// The bytes of an environment map, by the name that the settings give it.
     fn environment_map(&self, name: &str) -> Result<Vec<u8>, TaskError>;
 
-    /// What the other tasks of the job left for a merge.
-    fn parts(&self) -> Result<Vec<(TaskWork, Vec<u8>)>, TaskError>;
+    /// The other tasks of the job, whose parts a merge puts together.
+    fn parts(&self) -> Vec<TaskWork>;
+
+    /// What one of them left, by its place among [`parts`](Self::parts). They are asked for one after the other.
+    fn part(&self, index: usize) -> Result<Vec<u8>, TaskError>;
 
     /// Structures that others built.
     fn structures(&self) -> Option<&dyn StructureStore>;
@@ -105,6 +108,20 @@ impl TaskError {
     /// It may work a little later.
     pub fn transient(message: impl Into<String>) -> Self {
         Self::Failed { class: RetryClass::Transient, fatal: false, message: message.into() }
+    }
+}
+
+impl From<ImportError> for TaskError {
+    /// A file that cannot be read says nothing of what it holds.
+    fn from(error: ImportError) -> Self {
+        match error.kind {
+            ImportErrorKind::Cancelled => Self::Stopped,
+            ImportErrorKind::Io => Self::worker(error.to_string()),
+            ImportErrorKind::Malformed
+            | ImportErrorKind::Unsupported
+            | ImportErrorKind::MissingFile
+            | ImportErrorKind::Limit => Self::bad_input(error.to_string()),
+        }
     }
 }
 
@@ -224,22 +241,23 @@ impl Executor {
         Ok(part)
     }
 
-    /// Puts the parts together; also answers what making them cost.
+    /// Puts the parts together, one at a time; also answers what making them cost.
     fn merge(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<(Part, Metrics), TaskError> {
         task.report(Phase::Fetch, 0.0, 0);
-        let parts = task.inputs.parts()?;
-        metrics.scene_s = task.started.elapsed().as_secs_f64();
         let full = Region { x: 0, y: 0, width: task.settings.width, height: task.settings.height };
-        let mut earlier = Metrics::default();
-        let mut decoded = Vec::with_capacity(parts.len());
-        for (work, bytes) in parts {
+        let mut merge = part::Merge::new(full);
+        let works = task.inputs.parts();
+        for (done, index) in part::order(&works).into_iter().enumerate() {
             task.check_stop()?;
-            let (part, cost) = Part::decode(&bytes)
-                .map_err(|why| TaskError::worker(format!("the part of {} cannot be used: {why}", name_of(&work))))?;
-            earlier.add(&cost);
-            decoded.push((work, part));
+            let bytes = task.inputs.part(index)?;
+            let name = || name_of(&works[index]);
+            merge
+                .add(&bytes)
+                .map_err(|why| TaskError::worker(format!("the part of {} is of no use: {why}", name())))?;
+            task.report(Phase::Fetch, OUTPUT_STARTS * (done + 1) as f64 / works.len() as f64, 0);
         }
-        Ok((part::merge(full, decoded)?, earlier))
+        metrics.scene_s = task.started.elapsed().as_secs_f64();
+        merge.finish()
     }
 }
 

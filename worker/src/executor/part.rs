@@ -7,7 +7,7 @@
 use lightshaft_api::job::{Metrics, TaskWork};
 use lightshaft_api::lease::NewArtifact;
 use lightshaft_engine::device::Region;
-use lightshaft_engine::film::{AovBuffers, PassFilm, decode_part, encode_part, merge_aovs, merge_films};
+use lightshaft_engine::film::{AovBuffers, Merger, PassFilm, encode_part};
 
 use super::TaskError;
 use super::output::Artifact;
@@ -29,18 +29,6 @@ impl Part {
         bytes.extend_from_slice(&encode_part(&self.film, self.aovs.as_ref()));
         Ok(Artifact { name: NewArtifact::PART, media_type: "application/octet-stream", bytes })
     }
-
-    /// # Errors
-    /// What is wrong with the bytes, in words.
-    pub(super) fn decode(bytes: &[u8]) -> Result<(Self, Metrics), String> {
-        let truncated = "it is truncated";
-        let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>().ok_or(truncated)?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| truncated)?;
-        let (metrics, body) = rest.split_at_checked(length).ok_or(truncated)?;
-        let metrics = serde_json::from_slice(metrics).map_err(|error| format!("its metrics are malformed: {error}"))?;
-        let (film, aovs) = decode_part(body).map_err(|error| error.to_string())?;
-        Ok((Self { film, aovs }, metrics))
-    }
 }
 
 /// For messages.
@@ -55,29 +43,55 @@ pub fn name(work: &TaskWork) -> String {
     }
 }
 
-/// Puts tiles side by side and adds passes up, in the order of their samples, so that the picture does not depend on
-/// which worker was first.
-pub(super) fn merge(full: Region, mut parts: Vec<(TaskWork, Part)>) -> Result<Part, TaskError> {
-    if parts.is_empty() {
-        return Err(TaskError::bad_input("there are no parts to merge"));
-    }
-    parts.sort_by_key(|(work, part)| match work {
-        TaskWork::Pass { first_sample, .. } => (*first_sample, 0, 0),
-        TaskWork::Frame | TaskWork::Tile { .. } | TaskWork::Merge => (0, part.film.region.y, part.film.region.x),
+/// In which order parts are put together: tiles by their place, passes by their samples, so that the picture does not
+/// depend on which worker was first.
+pub(super) fn order(works: &[TaskWork]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..works.len()).collect();
+    order.sort_by_key(|&index| match works[index] {
+        TaskWork::Pass { first_sample, .. } => (first_sample, 0, 0),
+        TaskWork::Tile { x, y, .. } => (0, y, x),
+        TaskWork::Frame | TaskWork::Merge => (0, 0, 0),
     });
-    let (films, aovs): (Vec<PassFilm>, Vec<Option<AovBuffers>>) =
-        parts.into_iter().map(|(_, part)| (part.film, part.aovs)).unzip();
-    let unfit = |error: lightshaft_engine::film::PartError| {
-        TaskError::bad_input(format!("the parts do not make up the picture: {error}"))
-    };
-    let film = merge_films(full, &films).map_err(unfit)?;
-    let count = aovs.len();
-    let aovs: Vec<AovBuffers> = aovs.into_iter().flatten().collect();
-    if !aovs.is_empty() && aovs.len() != count {
-        return Err(TaskError::bad_input("the parts do not make up the picture: some lack their layers"));
+    order
+}
+
+/// The picture and the costs of the parts so far.
+pub(super) struct Merge {
+    pictures: Merger,
+    costs: Metrics,
+    parts: usize,
+}
+
+impl Merge {
+    pub(super) fn new(full: Region) -> Self {
+        Self { pictures: Merger::new(full), costs: Metrics::default(), parts: 0 }
     }
-    let aovs = if aovs.is_empty() { None } else { Some(merge_aovs(full, &aovs).map_err(unfit)?) };
-    Ok(Part { film, aovs })
+
+    /// # Errors
+    /// What is wrong with the bytes, in words.
+    pub(super) fn add(&mut self, bytes: &[u8]) -> Result<(), String> {
+        let truncated = "it is truncated";
+        let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>().ok_or(truncated)?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| truncated)?;
+        let (metrics, body) = rest.split_at_checked(length).ok_or(truncated)?;
+        let metrics = serde_json::from_slice(metrics).map_err(|error| format!("its metrics are malformed: {error}"))?;
+        self.pictures.add(body).map_err(|error| error.to_string())?;
+        self.costs.add(&metrics);
+        self.parts += 1;
+        Ok(())
+    }
+
+    /// The whole picture, and what making its parts cost.
+    pub(super) fn finish(self) -> Result<(Part, Metrics), TaskError> {
+        if self.parts == 0 {
+            return Err(TaskError::bad_input("there are no parts to merge"));
+        }
+        let (film, aovs) = self
+            .pictures
+            .finish()
+            .map_err(|error| TaskError::bad_input(format!("the parts do not make up the picture: {error}")))?;
+        Ok((Part { film, aovs }, self.costs))
+    }
 }
 
 #[cfg(test)]
@@ -94,39 +108,52 @@ mod tests {
         Part { film, aovs: Some(AovBuffers::new(region, &[Aov::Depth])) }
     }
 
-    fn pass(first_sample: u32, samples: u32, value: f64) -> (TaskWork, Part) {
-        (TaskWork::Pass { first_sample, samples }, part(FULL, samples, value))
+    fn bytes(part: &Part) -> Vec<u8> {
+        part.encode(&Metrics { render_s: 1.5, ..Metrics::default() }).unwrap().bytes
     }
 
     #[test]
     fn a_part_comes_back_with_its_metrics_and_a_damaged_one_does_not() {
-        let metrics = Metrics { render_s: 1.5, ..Metrics::default() };
-        let bytes = part(FULL, 7, 0.1).encode(&metrics).unwrap().bytes;
-        assert_eq!(Part::decode(&bytes).unwrap(), (part(FULL, 7, 0.1), metrics));
+        let part = part(FULL, 7, 0.1);
+        let mut bytes = bytes(&part);
+        let mut merge = Merge::new(FULL);
         for at in [0, 3, 8, 20, bytes.len() - 1] {
-            assert!(Part::decode(&bytes[..at]).is_err(), "cut at {at}");
+            assert!(merge.add(&bytes[..at]).is_err(), "cut at {at}");
         }
-        let mut damaged = bytes;
-        damaged[7] = 0xff;
-        assert_eq!(Part::decode(&damaged).unwrap_err(), "it is truncated");
+        merge.add(&bytes).unwrap();
+        let (merged, costs) = merge.finish().unwrap();
+        assert_eq!((merged, costs.render_s), (part, 1.5));
+        bytes[7] = 0xff;
+        assert_eq!(Merge::new(FULL).add(&bytes).unwrap_err(), "it is truncated");
     }
 
     #[test]
-    fn passes_add_up_in_the_order_of_their_samples() {
-        let merged = merge(FULL, vec![pass(4, 4, 0.2), pass(0, 4, 0.1), pass(8, 2, 0.3)]).unwrap();
-        assert_eq!(merged.film.samples, 10);
-        assert_eq!(merged.film.sum[0][0], 0.1 + 0.2 + 0.3);
+    fn parts_go_in_the_order_of_their_samples_or_places() {
+        let passes = [8, 0, 4].map(|first_sample| TaskWork::Pass { first_sample, samples: 4 });
+        assert_eq!(order(&passes), [1, 2, 0]);
+        let tiles = [(2, 1), (0, 1), (2, 0)].map(|(x, y)| TaskWork::Tile { x, y, width: 2, height: 1 });
+        assert_eq!(order(&tiles), [2, 1, 0]);
+    }
+
+    #[test]
+    fn passes_add_up() {
+        let mut merge = Merge::new(FULL);
+        for (samples, value) in [(4, 0.1), (4, 0.2), (2, 0.3)] {
+            merge.add(&bytes(&part(FULL, samples, value))).unwrap();
+        }
+        let (merged, costs) = merge.finish().unwrap();
+        assert_eq!((merged.film.samples, merged.film.sum[0][0]), (10, 0.1 + 0.2 + 0.3));
         assert!(merged.aovs.is_some());
+        assert_eq!(costs.render_s, 4.5);
     }
 
     #[test]
     fn parts_that_leave_holes_or_lack_layers_are_refused() {
-        let half = Region { width: 2, ..FULL };
-        let tile = (TaskWork::Tile { x: 0, y: 0, width: 2, height: 3 }, part(half, 1, 1.0));
-        assert!(merge(FULL, vec![tile]).is_err());
-        let (work, mut bare) = pass(4, 4, 1.0);
-        bare.aovs = None;
-        assert!(merge(FULL, vec![pass(0, 4, 1.0), (work, bare)]).is_err());
-        assert!(merge(FULL, vec![]).is_err());
+        let mut merge = Merge::new(FULL);
+        merge.add(&bytes(&part(Region { width: 2, ..FULL }, 1, 1.0))).unwrap();
+        let bare = Part { aovs: None, ..part(FULL, 4, 1.0) };
+        assert!(merge.add(&bytes(&bare)).unwrap_err().contains("layers"));
+        assert!(merge.finish().is_err());
+        assert!(Merge::new(FULL).finish().is_err());
     }
 }

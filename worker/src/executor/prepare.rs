@@ -13,7 +13,7 @@ use lightshaft_engine::accel::{BuildError, SceneAccel, Structure, StructureParam
 use lightshaft_engine::device::DeviceError;
 use lightshaft_engine::film::read_environment;
 use lightshaft_engine::pack::{self, PackedScene};
-use lightshaft_engine::scene::{self, ImportError, ImportErrorKind, Mesh, Scene};
+use lightshaft_engine::scene::{self, Mesh, Scene};
 use lightshaft_engine::settings::{HdrImage, RenderSettings};
 use rayon::prelude::*;
 
@@ -83,7 +83,7 @@ impl Executor {
                 let source = task.inputs.open_scene(&self.limits)?;
                 task.check_stop()?;
                 task.report(Phase::Import, IMPORT_STARTS, 0);
-                let imported = scene::import(&source, &self.limits, &|| task.stopped()).map_err(import_error)?;
+                let imported = scene::import(&source, &self.limits, &|| task.stopped())?;
                 let scene = Arc::new(imported);
                 if let Some(key) = key {
                     self.scenes().insert(key, Arc::clone(&scene), memory_bytes(&scene));
@@ -296,17 +296,6 @@ fn count_structures(metrics: &mut Metrics, packed: &PackedScene) {
     let meshes = spaces.iter().flatten().count() as u64;
     metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, ..LineSpaceUse::default() });
     metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
-}
-
-fn import_error(error: ImportError) -> TaskError {
-    match error.kind {
-        ImportErrorKind::Cancelled => TaskError::Stopped,
-        ImportErrorKind::Io => TaskError::worker(error.to_string()),
-        ImportErrorKind::Malformed
-        | ImportErrorKind::Unsupported
-        | ImportErrorKind::MissingFile
-        | ImportErrorKind::Limit => TaskError::bad_input(error.to_string()),
-    }
 }
 
 /// Bytes that an imported scene takes, roughly: geometry and images outweigh the rest.

@@ -387,18 +387,6 @@ pub(super) async fn a_transient_failure_waits(farm: &Farm) {
     assert_eq!(farm.claim(&worker).await.unwrap().task.number, 2);
 }
 
-pub(super) async fn a_deferred_task_postpones_its_whole_job(farm: &Farm) {
-    let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([2, 1]))).await;
-    let worker = farm.worker().await;
-    let held = farm.claim(&worker).await.unwrap();
-    farm.fail(&held, RetryClass::Deferred).await;
-    assert!(farm.claim(&worker).await.is_none());
-    farm.wait(30_000);
-    assert!(farm.claim(&worker).await.is_some());
-    assert!(farm.read(&job).await.tasks.iter().all(|task| task.attempt == 0), "no attempt is spent");
-}
-
 pub(super) async fn attempts_are_used_up(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     let job = farm.job(&scene).await;

@@ -247,7 +247,6 @@ suite! {
         the_last_worker_that_could_do_it_gets_every_attempt,
         blocked_workers_are_free_again_once_all_are_blocked,
         a_transient_failure_waits,
-        a_deferred_task_postpones_its_whole_job,
         attempts_are_used_up,
         a_fatal_failure_cancels_the_siblings,
         expired_tasks_are_rescued_in_batches,

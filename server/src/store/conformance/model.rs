@@ -30,13 +30,7 @@ enum Step {
 
 fn step() -> impl Strategy<Value = Step> {
     let index = 0usize..64;
-    let class = prop::sample::select(vec![
-        RetryClass::Worker,
-        RetryClass::Task,
-        RetryClass::Transient,
-        RetryClass::Interrupted,
-        RetryClass::Deferred,
-    ]);
+    let class = prop::sample::select(vec![RetryClass::Worker, RetryClass::Task, RetryClass::Transient]);
     let phase = prop::sample::select(vec![Phase::Fetch, Phase::Render]);
     prop_oneof![
         2 => (1u32..4).prop_map(|parts| Step::Submit { parts }),

@@ -157,7 +157,7 @@ impl SqliteStore {
         let (outcome, next) = if held.cancel_requested {
             (AttemptOutcome::Cancelled, Next::Cancelled)
         } else {
-            let next = Next::Ready { run_at: now, spends: false, whole_job: false };
+            let next = Next::Ready { run_at: now, spends: false };
             (AttemptOutcome::Interrupted, next)
         };
         let error = (cancelled && !held.cancel_requested).then_some("released as cancelled, which was not asked for");
@@ -338,20 +338,9 @@ async fn settle(
     match next {
         // Its siblings cannot make the job succeed any more.
         Next::Failed | Next::Dead => cancel_tasks(tx, &held.job).await?,
-        Next::Ready { run_at, whole_job: true, .. } => postpone(tx, &held.job, run_at).await?,
         Next::Ready { .. } | Next::Cancelled => {}
     }
     refresh_job(tx, &held.job, now).await?;
-    Ok(())
-}
-
-async fn postpone(tx: &mut Tx, job: &str, run_at: Millis) -> Result<()> {
-    sqlx::query("UPDATE task SET run_at = MAX(run_at, $2) WHERE job_id = $1 AND state = 'ready'")
-        .bind(job)
-        .bind(run_at)
-        .execute(&mut **tx)
-        .await
-        .map_err(context("postponing a job"))?;
     Ok(())
 }
 

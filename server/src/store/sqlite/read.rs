@@ -303,8 +303,10 @@ fn push_page(statement: &mut QueryBuilder<Sqlite>, query: &JobQuery, page: &Page
         statement.push(" AND value = ").push_bind(value.clone()).push(")");
     }
     if let Some(text) = query.text.as_ref().map(|text| text.to_lowercase()) {
+        // From the newest job on, until the page is full. Scenes are few, and looked through once; a job's own labels are
+        // looked up only when neither its id nor its scene will do.
         statement.push(" AND (substr(j.id, 1, length(").push_bind(text.clone()).push(")) = ").push_bind(text.clone());
-        statement.push(" OR EXISTS (SELECT 1 FROM scene s WHERE s.id = j.scene_id AND instr(lower(s.name), ");
+        statement.push(" OR j.scene_id IN (SELECT s.id FROM scene s WHERE instr(lower(s.name), ");
         statement.push_bind(text.clone()).push(") > 0)");
         statement.push(" OR EXISTS (SELECT 1 FROM job_label l WHERE l.job_id = j.id AND instr(lower(l.value), ");
         statement.push_bind(text).push(") > 0))");
@@ -337,5 +339,8 @@ mod tests {
         let labels = BTreeMap::from([("nightly".to_owned(), "yes".to_owned())]);
         let label = plan(JobQuery { labels, ..JobQuery::default() }, None).await;
         assert!(label.contains("INDEX job_label_value (key=? AND value=?)") && !label.contains("SCAN j"), "{label}");
+        let text = plan(JobQuery { text: Some("x".to_owned()), ..JobQuery::default() }, None).await;
+        assert!(text.contains("LIST SUBQUERY") && !text.contains("TEMP B-TREE"), "scenes once, jobs in order: {text}");
+        assert!(text.contains("SEARCH l USING PRIMARY KEY (job_id=?)"), "{text}");
     }
 }

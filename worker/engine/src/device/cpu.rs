@@ -15,6 +15,7 @@ use crate::integrate::aov::first_hit;
 use crate::integrate::{Sample, Tally, radiance};
 use crate::pack::PackedScene;
 use crate::settings::{Integrator, RenderSettings};
+use crate::trace::Kernels;
 
 /// Side of a tile in pixels.
 const TILE: u32 = 16;
@@ -35,7 +36,7 @@ impl Device for CpuDevice {
         let plural = if threads == 1 { "" } else { "s" };
         DeviceInfo {
             kind: "cpu",
-            name: format!("{}, {threads} thread{plural}", instruction_set()),
+            name: format!("{}, {threads} thread{plural}", Kernels::detect().name()),
             driver: String::new(),
             backend: String::new(),
             device_type: "Cpu".into(),
@@ -50,15 +51,6 @@ impl Device for CpuDevice {
     ) -> Result<Box<dyn Renderer>, DeviceError> {
         Ok(Box::new(CpuRenderer { scene, integrator: settings.integrator, seed: settings.seed }))
     }
-}
-
-/// The widest vector instructions that the traversal kernels use here.
-fn instruction_set() -> &'static str {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
-        return "AVX2";
-    }
-    "portable"
 }
 
 struct CpuRenderer {
@@ -170,7 +162,7 @@ mod tests {
     use glam::{Affine3A, Vec3};
 
     use super::*;
-    use crate::film::{AovLayer, decode_part, encode_part, merge_aovs, merge_films};
+    use crate::film::{AovLayer, Merger, encode_part};
     use crate::integrate::tests::{camera, glow, matte, prepare, scene, settings, sphere, square};
     use crate::settings::Aov;
 
@@ -213,12 +205,12 @@ mod tests {
         // Tiles that do not align with the device's own, the left one in two passes, through part files.
         let left = Region { width: 13, ..full };
         let right = Region { x: 13, width: 27, ..full };
-        let part = |region, first_sample, samples| {
+        let mut merger = Merger::new(full);
+        for (region, first_sample, samples) in [(right, 0, 12), (left, 5, 7), (left, 0, 5)] {
             let film = render(&packed, &settings, &[Pass { region, first_sample, samples }], region);
-            decode_part(&encode_part(&film, None)).expect("intact").0
-        };
-        let parts = [part(right, 0, 12), part(left, 5, 7), part(left, 0, 5)];
-        assert_eq!(merge_films(full, &parts).expect("complete").mean(), reference.mean());
+            merger.add(&encode_part(&film, None)).expect("intact");
+        }
+        assert_eq!(merger.finish().expect("complete").0.mean(), reference.mean());
     }
 
     #[test]
@@ -249,7 +241,11 @@ mod tests {
         let upper = Region { height: 20, ..full };
         let lower = Region { y: 20, height: 16, ..full };
         let whole = aovs(full);
-        assert_eq!(merge_aovs(full, &[aovs(upper), aovs(lower)]).expect("complete"), whole);
+        let mut merger = Merger::new(full);
+        for region in [upper, lower] {
+            merger.add(&encode_part(&PassFilm::new(region), Some(&aovs(region)))).expect("intact");
+        }
+        assert_eq!(merger.finish().expect("complete").1, Some(whole.clone()));
         let ids = whole.layers.iter().find(|l| l.0 == Aov::InstanceId);
         let Some((_, AovLayer::Integer(ids))) = ids else { panic!("instance ids are integers") };
         assert!([0, 1, 2, u32::MAX].iter().all(|id| ids.contains(id)));

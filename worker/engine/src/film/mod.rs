@@ -8,7 +8,7 @@ mod tonemap;
 
 pub use environment::{EnvironmentError, read_environment};
 pub use exr::encode_exr;
-pub use part::{PartError, decode_part, encode_part, merge_aovs, merge_films};
+pub use part::{Merger, PartError, encode_part};
 pub use png::encode_png;
 pub use tonemap::{ToneMap, linear_to_srgb, to_srgb8};
 

@@ -44,59 +44,59 @@ pub fn encode_part(film: &PassFilm, aovs: Option<&AovBuffers>) -> Vec<u8> {
     out
 }
 
-/// Reads what [`encode_part`] wrote, after checking the checksum and every length.
-pub fn decode_part(bytes: &[u8]) -> Result<(PassFilm, Option<AovBuffers>), PartError> {
-    let error = |detail: &str| PartError(detail.to_owned());
-    let body = bytes.len().checked_sub(HASH_BYTES).ok_or_else(|| error("shorter than its checksum"))?;
-    let (body, hash) = bytes.split_at(body);
-    if blake3::hash(body).as_bytes() != hash {
-        return Err(error("the checksum does not match"));
-    }
-    let mut reader = Reader { rest: body };
-    if reader.take(MAGIC.len())? != MAGIC {
-        return Err(error("it does not start with LSPART"));
-    }
-    let version = u16::from_le_bytes(reader.array()?);
-    if version != VERSION {
-        return Err(PartError(format!("version {version}, this build reads version {VERSION}")));
-    }
-    let region = Region { x: reader.u32()?, y: reader.u32()?, width: reader.u32()?, height: reader.u32()? };
-    let samples = reader.u32()?;
-    let count = region.pixels();
-    let sums = reader.take(count.checked_mul(24).ok_or_else(|| error("the region is too large"))?)?;
-    let mut sums = Reader { rest: sums };
-    let mut sum = Vec::with_capacity(count);
-    for _ in 0..count {
-        let mut pixel = [0.0; 3];
-        for c in &mut pixel {
-            *c = f64::from_le_bytes(sums.array()?);
+/// What [`encode_part`] wrote, after its checksum and every length were checked. Sums and layers stay bytes.
+struct Encoded<'a> {
+    region: Region,
+    samples: u32,
+    sums: &'a [u8],
+    layers: Vec<(Aov, &'a [u8])>,
+}
+
+impl<'a> Encoded<'a> {
+    fn read(bytes: &'a [u8]) -> Result<Self, PartError> {
+        let error = |detail: &str| PartError(detail.to_owned());
+        let body = bytes.len().checked_sub(HASH_BYTES).ok_or_else(|| error("shorter than its checksum"))?;
+        let (body, hash) = bytes.split_at(body);
+        if blake3::hash(body).as_bytes() != hash {
+            return Err(error("the checksum does not match"));
         }
-        sum.push(pixel);
-    }
-    let layers = reader.u32()?;
-    let mut wanted = Vec::new();
-    let mut aovs = AovBuffers { region, layers: Vec::new() };
-    for _ in 0..layers {
-        let number = reader.u32()?;
-        let aov = *Aov::ALL.get(number as usize).ok_or_else(|| PartError(format!("layer number {number}")))?;
-        if wanted.contains(&aov) {
-            return Err(PartError(format!("layer {} stands twice", aov.name())));
+        let mut reader = Reader { rest: body };
+        if reader.take(MAGIC.len())? != MAGIC {
+            return Err(error("it does not start with LSPART"));
         }
-        wanted.push(aov);
-        let mut layer = AovBuffers::new(region, &[aov]);
-        for (_, values) in &mut layer.layers {
-            match values {
-                AovLayer::Scalar(v) => v.iter_mut().try_for_each(|x| reader.f32().map(|r| *x = r))?,
-                AovLayer::Vector(v) => v.iter_mut().flatten().try_for_each(|x| reader.f32().map(|r| *x = r))?,
-                AovLayer::Integer(v) => v.iter_mut().try_for_each(|x| reader.u32().map(|r| *x = r))?,
+        let version = u16::from_le_bytes(reader.array()?);
+        if version != VERSION {
+            return Err(PartError(format!("version {version}, this build reads version {VERSION}")));
+        }
+        let region = Region { x: reader.u32()?, y: reader.u32()?, width: reader.u32()?, height: reader.u32()? };
+        let samples = reader.u32()?;
+        let values = |reader: &mut Reader<'a>, bytes_each: usize| {
+            reader.take(region.pixels().checked_mul(bytes_each).ok_or_else(|| error("the region is too large"))?)
+        };
+        let sums = values(&mut reader, size_of::<[f64; 3]>())?;
+        let mut layers: Vec<(Aov, &[u8])> = Vec::new();
+        for _ in 0..reader.u32()? {
+            let number = reader.u32()?;
+            let aov = *Aov::ALL.get(number as usize).ok_or_else(|| PartError(format!("layer number {number}")))?;
+            if layers.iter().any(|(known, _)| *known == aov) {
+                return Err(PartError(format!("layer {} stands twice", aov.name())));
             }
+            layers.push((aov, values(&mut reader, value_bytes(aov))?));
         }
-        aovs.layers.append(&mut layer.layers);
+        if !reader.rest.is_empty() {
+            return Err(PartError(format!("{} bytes too many", reader.rest.len())));
+        }
+        Ok(Self { region, samples, sums, layers })
     }
-    if !reader.rest.is_empty() {
-        return Err(PartError(format!("{} bytes too many", reader.rest.len())));
+}
+
+/// Bytes of one pixel's value.
+fn value_bytes(aov: Aov) -> usize {
+    let nothing = Region { x: 0, y: 0, width: 0, height: 0 };
+    match AovBuffers::new(nothing, &[aov]).layers[..] {
+        [(_, AovLayer::Vector(_))] => size_of::<[f32; 3]>(),
+        _ => size_of::<u32>(),
     }
-    Ok((PassFilm { region, sum, samples }, (layers > 0).then_some(aovs)))
 }
 
 struct Reader<'a> {
@@ -122,80 +122,79 @@ impl<'a> Reader<'a> {
     fn u32(&mut self) -> Result<u32, PartError> {
         self.array().map(u32::from_le_bytes)
     }
-
-    fn f32(&mut self) -> Result<f32, PartError> {
-        self.array().map(f32::from_le_bytes)
-    }
 }
 
-/// Puts the films of a job's tasks together. Together they must cover every pixel of `region`, each with the same number
-/// of samples; tiles and passes may be mixed. Sums are added in the order of `parts`.
-pub fn merge_films(region: Region, parts: &[PassFilm]) -> Result<PassFilm, PartError> {
-    let mut merged = PassFilm::new(region);
-    let mut samples = vec![0u32; region.pixels()];
-    for part in parts {
-        check_inside(part.region, region)?;
-        if part.sum.len() != part.region.pixels() {
-            return Err(PartError(format!("{} sums for {} pixels", part.sum.len(), part.region.pixels())));
-        }
-        for (k, sum) in part.sum.iter().enumerate() {
-            let i = place(part.region, region, k);
-            (0..3).for_each(|c| merged.sum[i][c] += sum[c]);
-            samples[i] = samples[i].saturating_add(part.samples);
-        }
-    }
-    merged.samples = samples.first().copied().unwrap_or(0);
-    if let Some(i) = samples.iter().position(|&s| s != merged.samples) {
-        let (x, y) = (i % region.width as usize, i / region.width as usize);
-        let (got, expected) = (samples[i], merged.samples);
-        return Err(PartError(format!("pixel ({x}, {y}) has {got} samples, the first pixel {expected}")));
-    }
-    Ok(merged)
+/// Puts the parts of a job's tasks together, one after the other, so that memory holds the whole picture and one part.
+/// Tiles and passes may be mixed. Sums are added in the order in which parts come.
+#[derive(Debug)]
+pub struct Merger {
+    film: PassFilm,
+    /// Of every pixel so far.
+    samples: Vec<u32>,
+    /// As the first part has them.
+    aovs: Option<AovBuffers>,
 }
 
-/// Puts the AOV layers of a job's tasks together; every part has the same layers. Pixels that no part covers keep the
-/// values of a miss, and passes over the same pixels carry the same values.
-pub fn merge_aovs(region: Region, parts: &[AovBuffers]) -> Result<AovBuffers, PartError> {
-    let names: Vec<Aov> = parts.first().map(|p| p.layers.iter().map(|l| l.0).collect()).unwrap_or_default();
-    let mut merged = AovBuffers::new(region, &names);
-    for part in parts {
-        check_inside(part.region, region)?;
-        if part.layers.iter().map(|l| l.0).ne(names.iter().copied()) {
+impl Merger {
+    pub fn new(region: Region) -> Self {
+        Self { film: PassFilm::new(region), samples: vec![0; region.pixels()], aovs: None }
+    }
+
+    /// Adds what [`encode_part`] wrote. Passes over the same pixels carry the same layers' values.
+    ///
+    /// # Errors
+    /// A part that is damaged, lies outside of the picture, or has other layers than those before.
+    pub fn add(&mut self, bytes: &[u8]) -> Result<(), PartError> {
+        let part = Encoded::read(bytes)?;
+        let (inner, outer) = (part.region, self.film.region);
+        if !outer.contains(inner) {
+            return Err(PartError(format!("{inner:?} does not lie within {outer:?}")));
+        }
+        let names = || part.layers.iter().map(|layer| layer.0);
+        let aovs = self.aovs.get_or_insert_with(|| AovBuffers::new(outer, &names().collect::<Vec<_>>()));
+        if names().ne(aovs.layers.iter().map(|layer| layer.0)) {
             return Err(PartError("parts have different layers".into()));
         }
-        let pixels = part.region.pixels();
-        for ((aov, target), (_, source)) in merged.layers.iter_mut().zip(&part.layers) {
-            let fits = match (target, source) {
-                (AovLayer::Scalar(t), AovLayer::Scalar(s)) => paste(t, region, s, part.region, pixels),
-                (AovLayer::Vector(t), AovLayer::Vector(s)) => paste(t, region, s, part.region, pixels),
-                (AovLayer::Integer(t), AovLayer::Integer(s)) => paste(t, region, s, part.region, pixels),
-                _ => false,
-            };
-            if !fits {
-                return Err(PartError(format!("layer {} has another type or length", aov.name())));
+        let (sums, _) = part.sums.as_chunks::<{ size_of::<[f64; 3]>() }>();
+        for (i, sum) in inner.places_in(outer).zip(sums) {
+            let (channels, _) = sum.as_chunks();
+            for (total, channel) in self.film.sum[i].iter_mut().zip(channels) {
+                *total += f64::from_le_bytes(*channel);
+            }
+            self.samples[i] = self.samples[i].saturating_add(part.samples);
+        }
+        for ((_, layer), (_, values)) in aovs.layers.iter_mut().zip(&part.layers) {
+            let (words, _) = values.as_chunks();
+            match layer {
+                AovLayer::Scalar(all) => paste(all, inner, outer, words.iter().map(|w| f32::from_le_bytes(*w))),
+                AovLayer::Integer(all) => paste(all, inner, outer, words.iter().map(|w| u32::from_le_bytes(*w))),
+                AovLayer::Vector(all) => {
+                    let (vectors, _) = words.as_chunks::<3>();
+                    paste(all, inner, outer, vectors.iter().map(|v| v.map(f32::from_le_bytes)));
+                }
             }
         }
+        Ok(())
     }
-    Ok(merged)
-}
 
-fn paste<T: Copy>(target: &mut [T], region: Region, source: &[T], part: Region, pixels: usize) -> bool {
-    if source.len() != pixels {
-        return false;
+    /// # Errors
+    /// When some pixels have more samples than others, such as none.
+    pub fn finish(mut self) -> Result<(PassFilm, Option<AovBuffers>), PartError> {
+        let expected = self.samples.first().copied().unwrap_or(0);
+        if let Some(i) = self.samples.iter().position(|&samples| samples != expected) {
+            let width = self.film.region.width as usize;
+            let (x, y, got) = (i % width, i / width, self.samples[i]);
+            return Err(PartError(format!("pixel ({x}, {y}) has {got} samples, the first pixel {expected}")));
+        }
+        self.film.samples = expected;
+        Ok((self.film, self.aovs.filter(|aovs| !aovs.layers.is_empty())))
     }
-    source.iter().enumerate().for_each(|(k, value)| target[place(part, region, k)] = *value);
-    true
 }
 
-/// Place in `outer`'s row-major buffer of pixel `k` of `inner`.
-fn place(inner: Region, outer: Region, k: usize) -> usize {
-    let x = (inner.x - outer.x) as usize + k % inner.width as usize;
-    let y = (inner.y - outer.y) as usize + k / inner.width as usize;
-    y * outer.width as usize + x
-}
-
-fn check_inside(inner: Region, outer: Region) -> Result<(), PartError> {
-    if outer.contains(inner) { Ok(()) } else { Err(PartError(format!("{inner:?} does not lie within {outer:?}"))) }
+fn paste<T>(all: &mut [T], inner: Region, outer: Region, values: impl Iterator<Item = T>) {
+    for (i, value) in inner.places_in(outer).zip(values) {
+        all[i] = value;
+    }
 }
 
 #[cfg(test)]
@@ -216,36 +215,51 @@ mod tests {
     const LEFT: Region = Region { x: 0, y: 0, width: 3, height: 4 };
     const RIGHT: Region = Region { x: 3, y: 0, width: 4, height: 4 };
 
+    fn merge(region: Region, parts: &[Vec<u8>]) -> Result<(PassFilm, Option<AovBuffers>), PartError> {
+        let mut merger = Merger::new(region);
+        parts.iter().try_for_each(|part| merger.add(part))?;
+        merger.finish()
+    }
+
+    fn wrong(region: Region, parts: &[Vec<u8>]) -> String {
+        merge(region, parts).unwrap_err().to_string()
+    }
+
     #[test]
     fn parts_survive_the_journey() {
         let film = film(RIGHT, 9, |x, y| f64::from(x) / 3.0 + f64::from(y));
         let mut aovs = AovBuffers::new(RIGHT, &[Aov::Depth, Aov::Albedo, Aov::PrimitiveId]);
-        if let AovLayer::Integer(v) = &mut aovs.layers[2].1 {
-            v[3] = 77;
+        for (_, layer) in &mut aovs.layers {
+            match layer {
+                AovLayer::Scalar(values) => values[1] = -7.5,
+                AovLayer::Vector(values) => values[2] = [0.25, 0.5, 1.0],
+                AovLayer::Integer(values) => values[3] = 77,
+            }
         }
-        assert_eq!(decode_part(&encode_part(&film, Some(&aovs))).unwrap(), (film.clone(), Some(aovs)));
-        assert_eq!(decode_part(&encode_part(&film, None)).unwrap(), (film, None));
+        let with_layers = encode_part(&film, Some(&aovs));
+        assert_eq!(merge(RIGHT, &[with_layers]).unwrap(), (film.clone(), Some(aovs)));
+        assert_eq!(merge(RIGHT, &[encode_part(&film, None)]).unwrap(), (film, None));
     }
 
     #[test]
     fn damage_is_noticed() {
         let mut bytes = encode_part(&film(LEFT, 1, |_, _| 1.0), None);
-        assert_eq!(decode_part(&bytes[..10]).unwrap_err().to_string(), "bad part file: shorter than its checksum");
+        assert_eq!(wrong(LEFT, &[bytes[..10].to_vec()]), "bad part file: shorter than its checksum");
         bytes[40] ^= 1;
-        assert_eq!(decode_part(&bytes).unwrap_err().to_string(), "bad part file: the checksum does not match");
+        assert_eq!(wrong(LEFT, std::slice::from_ref(&bytes)), "bad part file: the checksum does not match");
         // A correct checksum over a lying header.
         let mut body = bytes[..bytes.len() - HASH_BYTES].to_vec();
         body[16..20].copy_from_slice(&u32::MAX.to_le_bytes());
         let hash = blake3::hash(&body);
         body.extend_from_slice(hash.as_bytes());
-        assert!(decode_part(&body).unwrap_err().to_string().contains("missing"));
+        assert!(wrong(LEFT, &[body]).contains("missing"));
     }
 
     #[test]
     fn tiles_and_passes_merge_into_the_unsplit_film() {
         let value = |x: u32, y: u32| f64::from((x * 31 + y * 17) as f32 * 0.123);
-        let parts = [film(RIGHT, 8, value), film(LEFT, 4, value), film(LEFT, 4, value)];
-        let merged = merge_films(WHOLE, &parts).unwrap();
+        let parts = [(RIGHT, 8), (LEFT, 4), (LEFT, 4)].map(|(region, n)| encode_part(&film(region, n, value), None));
+        let (merged, _) = merge(WHOLE, &parts).unwrap();
         assert_eq!(merged.samples, 8);
         let v = value(3, 0);
         assert_eq!(merged.sum[3], [v, 2.0 * v, 0.1]);
@@ -255,24 +269,28 @@ mod tests {
 
     #[test]
     fn holes_and_strangers_are_refused() {
-        let holes = merge_films(WHOLE, &[film(LEFT, 4, |_, _| 1.0)]).unwrap_err();
-        assert_eq!(holes.to_string(), "bad part file: pixel (3, 0) has 0 samples, the first pixel 4");
-        let outside = Region { x: 6, ..LEFT };
-        assert!(merge_films(WHOLE, &[film(outside, 4, |_, _| 1.0)]).unwrap_err().to_string().contains("within"));
-        let layers = [AovBuffers::new(LEFT, &[Aov::Depth]), AovBuffers::new(RIGHT, &[Aov::Albedo])];
-        assert!(merge_aovs(WHOLE, &layers).unwrap_err().to_string().contains("different layers"));
+        let part = |region, aovs: &[Aov]| {
+            let layers = AovBuffers::new(region, aovs);
+            encode_part(&film(region, 4, |_, _| 1.0), (!aovs.is_empty()).then_some(&layers))
+        };
+        assert_eq!(wrong(WHOLE, &[part(LEFT, &[])]), "bad part file: pixel (3, 0) has 0 samples, the first pixel 4");
+        assert!(wrong(WHOLE, &[part(Region { x: 6, ..LEFT }, &[])]).contains("within"));
+        for other in [&[Aov::Albedo][..], &[]] {
+            assert!(wrong(WHOLE, &[part(LEFT, &[Aov::Depth]), part(RIGHT, other)]).contains("different layers"));
+        }
     }
 
     #[test]
     fn aov_tiles_merge() {
-        let mut parts = [AovBuffers::new(LEFT, &[Aov::Depth]), AovBuffers::new(RIGHT, &[Aov::Depth])];
-        for (part, depth) in parts.iter_mut().zip([1.0, 2.0]) {
-            if let AovLayer::Scalar(v) = &mut part.layers[0].1 {
-                v.fill(depth);
+        let parts = [(LEFT, 1.0), (RIGHT, 2.0)].map(|(region, depth)| {
+            let mut aovs = AovBuffers::new(region, &[Aov::Depth]);
+            if let AovLayer::Scalar(values) = &mut aovs.layers[0].1 {
+                values.fill(depth);
             }
-        }
-        let merged = merge_aovs(WHOLE, &parts).unwrap();
+            encode_part(&film(region, 1, |_, _| 0.0), Some(&aovs))
+        });
+        let (_, aovs) = merge(WHOLE, &parts).unwrap();
         let row = [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0];
-        assert_eq!(merged.layers[0].1, AovLayer::Scalar(row.repeat(4)));
+        assert_eq!(aovs.unwrap().layers[0].1, AovLayer::Scalar(row.repeat(4)));
     }
 }

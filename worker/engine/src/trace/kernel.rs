@@ -163,6 +163,15 @@ impl Kernels {
         Self::Portable
     }
 
+    /// For people: part of the CPU device's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Portable => "portable",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => "AVX2",
+        }
+    }
+
     /// All that this CPU can run.
     pub fn available() -> Vec<Self> {
         let best = Self::detect();

@@ -69,8 +69,9 @@ fn a_structure_is_built_once_and_then_found_in_memory_and_by_the_next_process_on
     assert_eq!(loaded.report.source, CacheSource::Disk);
     assert_eq!(loaded.structure.bvh2(), built.structure.bvh2());
     assert_eq!(get(&next_process, &mesh).report.source, CacheSource::Memory);
-    assert_eq!(next_process.warm_meshes(10), [mesh.hash.to_string()]);
-    assert_eq!(next_process.status().entries, 1);
+    let (warm, status) = next_process.holdings(10);
+    assert_eq!((warm, status.entries), (vec![mesh.hash.to_string()], 1), "in memory and on disk, and counted once");
+    assert_eq!(next_process.holdings(0).0, [""; 0]);
 }
 
 #[test]
