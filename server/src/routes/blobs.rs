@@ -9,12 +9,12 @@ use lightshaft_api::problem::Problem;
 use crate::app::Shared;
 use crate::error::ApiResult;
 use crate::web::body::{Id, Json, upload};
-use crate::web::file;
+use crate::web::file::{self, Binary};
 
 /// Stores a body and answers its hash, such as an environment map.
 #[utoipa::path(
     post, path = "/v1/blobs", tag = "blobs",
-    request_body(content = Vec<u8>, content_type = "application/octet-stream"),
+    request_body(content = inline(Binary), content_type = "application/octet-stream"),
     responses(
         (status = 201, body = StoredBlob),
         (status = "default", body = Problem, content_type = "application/problem+json"),
@@ -32,7 +32,7 @@ pub(super) async fn store_blob(
 #[utoipa::path(
     put, path = "/v1/blobs/{hash}", tag = "blobs",
     params(("hash" = String, Path, description = "BLAKE3, 64 lower-case hex digits")),
-    request_body(content = Vec<u8>, content_type = "application/octet-stream"),
+    request_body(content = inline(Binary), content_type = "application/octet-stream"),
     responses(
         (status = 200, body = StoredBlob),
         (status = "default", body = Problem, content_type = "application/problem+json"),
@@ -52,8 +52,8 @@ pub(super) async fn put_blob(
     get, path = "/v1/blobs/{hash}", tag = "blobs",
     params(("hash" = String, Path, description = "BLAKE3, 64 lower-case hex digits")),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 206, description = "The range that was asked for", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 200, body = inline(Binary), content_type = "application/octet-stream"),
+        (status = 206, description = "The range that was asked for", body = inline(Binary), content_type = "application/octet-stream"),
         (status = 304, description = "Not modified"),
         (status = "default", body = Problem, content_type = "application/problem+json"),
     )

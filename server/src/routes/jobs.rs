@@ -22,7 +22,7 @@ use crate::app::{EventStream, Shared, is_label_key};
 use crate::error::{ApiError, ApiResult};
 use crate::store::{JobQuery, PageRequest};
 use crate::web::body::{Id, Ids, Json, PageParams, Params};
-use crate::web::file;
+use crate::web::file::{self, Binary};
 use crate::web::page::page;
 
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -260,8 +260,8 @@ pub(super) async fn list_artifacts(State(app): State<Shared>, Id(id): Id) -> Api
         ("name" = String, Path, description = "`image.png`, `image.exr`, `metrics.json`"),
     ),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 206, description = "The range that was asked for", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 200, body = inline(Binary), content_type = "application/octet-stream"),
+        (status = 206, description = "The range that was asked for", body = inline(Binary), content_type = "application/octet-stream"),
         (status = 304, description = "Not modified"),
         (status = "default", body = Problem, content_type = "application/problem+json"),
     )
@@ -279,7 +279,7 @@ pub(super) async fn get_artifact(
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/preview.png", tag = "jobs", params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "image/png"),
+        (status = 200, body = inline(Binary), content_type = "image/png"),
         (status = 304, description = "Not modified"),
         (status = "default", body = Problem, content_type = "application/problem+json"),
     )

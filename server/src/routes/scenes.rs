@@ -14,7 +14,7 @@ use crate::app::{Shared, Uploaded};
 use crate::error::ApiResult;
 use crate::store::PageRequest;
 use crate::web::body::{Id, PageParams, Params};
-use crate::web::file;
+use crate::web::file::{self, Binary};
 use crate::web::page::page;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -50,10 +50,10 @@ pub(super) async fn list_scenes(
     post, path = "/v1/scenes", tag = "scenes", params(UploadParams),
     request_body(
         content(
-            (Vec<u8> = "model/gltf-binary"),
-            (Vec<u8> = "application/zip"),
-            (Vec<u8> = "model/gltf+json"),
-            (Vec<u8> = "multipart/form-data"),
+            (inline(Binary) = "model/gltf-binary"),
+            (inline(Binary) = "application/zip"),
+            (inline(Binary) = "model/gltf+json"),
+            (inline(Binary) = "multipart/form-data"),
         )
     ),
     responses(
@@ -106,7 +106,7 @@ pub(super) async fn delete_scene(State(app): State<Shared>, Id(id): Id) -> ApiRe
     get, path = "/v1/scenes/{id}/thumbnail.png", tag = "scenes",
     params(("id" = String, Path, description = "The scene")),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "image/png"),
+        (status = 200, body = inline(Binary), content_type = "image/png"),
         (status = 304, description = "Not modified"),
         (status = "default", body = Problem, content_type = "application/problem+json"),
     )

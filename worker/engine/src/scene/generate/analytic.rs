@@ -34,7 +34,7 @@ pub(super) fn cornell_box(_: &Amounts) -> GlbWriter {
     let walls = [(Shape::Triangles(room), white), (Shape::Triangles(left), red), (Shape::Triangles(right), green)];
     let walls = glb.mesh("room", &walls);
     glb.instance("room", walls, Place::default());
-    let lamp = quad(Vec3::new(-0.65, SIDE - 0.01, -0.55), Vec3::X * 1.3, Vec3::Z * 1.05);
+    let lamp = quad(Vec3::new(-0.65, SIDE - 0.0005, -0.55), Vec3::X * 1.3, Vec3::Z * 1.05);
     let lamp = glb.mesh("lamp", &[(Shape::Triangles(lamp), light)]);
     glb.instance("lamp", lamp, Place::default());
 
