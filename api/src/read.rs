@@ -19,19 +19,22 @@ pub fn from_value<T: DeserializeOwned>(mut value: Value) -> Result<T, Vec<FieldE
         return Err(vec![FieldError::new("", format!("must be a JSON object, not {}", kind_of(&value)))]);
     }
     let mut errors: Vec<FieldError> = Vec::new();
+    let mut left_out: Vec<String> = Vec::new();
     loop {
         match serde_path_to_error::deserialize::<_, T>(&value) {
             Ok(read) if errors.is_empty() => return Ok(read),
             Ok(_) => return Err(errors),
             Err(error) => {
                 let found = field_error(&pointer(error.path()), &error.inner().to_string());
-                let left_out = errors.iter().any(|known| known.pointer == found.pointer);
                 let removed = remove(&mut value, &found.pointer);
-                if !left_out {
+                // What was left out here is missing now, which is no mistake of the sender's.
+                let is_known = errors.iter().any(|known| known.pointer == found.pointer);
+                if !is_known && !left_out.contains(&found.pointer) {
                     errors.push(found);
                 }
-                if !removed || errors.len() == MOST_ERRORS {
-                    return Err(errors);
+                match removed {
+                    Some(pointer) if errors.len() < MOST_ERRORS => left_out.push(pointer),
+                    _ => return Err(errors),
                 }
             }
         }
@@ -49,18 +52,18 @@ fn kind_of(value: &Value) -> &'static str {
     }
 }
 
-/// Removes the field at `pointer`, or the innermost field around it that there is. `false` when there is none.
-fn remove(value: &mut Value, pointer: &str) -> bool {
+/// Removes the field at `pointer`, or the innermost field around it that there is; returns that one's pointer.
+fn remove(value: &mut Value, pointer: &str) -> Option<String> {
     let mut end = pointer.len();
     while let Some(slash) = pointer[..end].rfind('/') {
         let key = pointer[slash + 1..end].replace("~1", "/").replace("~0", "~");
         let parent = value.pointer_mut(&pointer[..slash]).and_then(Value::as_object_mut);
         if parent.is_some_and(|object| object.remove(&key).is_some()) {
-            return true;
+            return Some(pointer[..end].to_owned());
         }
         end = slash;
     }
-    false
+    None
 }
 
 fn pointer(path: &Path) -> String {

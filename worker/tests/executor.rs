@@ -262,6 +262,17 @@ fn failures_say_what_is_wrong_and_who_may_try_again() {
 }
 
 #[test]
+fn a_scene_file_that_cannot_be_read_is_the_worker_s_trouble_and_no_verdict_on_the_job() {
+    let folder = std::env::temp_dir();
+    for unreadable in [folder.join("there-is-no-such-scene.glb"), folder] {
+        let error = Source::open(&unreadable, &Limits::default()).unwrap_err();
+        assert!(matches!(error.into(), TaskError::Failed { class: RetryClass::Worker, fatal: false, .. }));
+    }
+    let garbage = Source::from_bytes("scene.zip", b"PK\x03\x04 garbage".to_vec(), &Limits::default()).unwrap_err();
+    assert!(matches!(garbage.into(), TaskError::Failed { class: RetryClass::Task, fatal: true, .. }));
+}
+
+#[test]
 fn a_merge_of_damaged_parts_fails() {
     let mut inputs = generated("cornell-box");
     inputs.parts = vec![(TaskWork::Pass { first_sample: 0, samples: 1 }, b"garbage".to_vec())];

@@ -2,9 +2,10 @@
 //! exactly once all the same.
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use lightshaft_tests::{Proxy, Service, Worker, process};
+use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::failures::{assert_one_picture, outcomes, rendering};
@@ -146,6 +147,39 @@ async fn a_worker_killed_while_it_merges() {
 async fn a_worker_killed_before_its_report_arrives() {
     let struck = struck("POST /v1/leases/", true, short()).await;
     is_done_once(&struck, &["expired", "succeeded"]).await;
+}
+
+/// A job whose picture is there, while the structure that was built for it does not get to the service.
+async fn publishing() -> (Service, Proxy, Worker, String) {
+    let service = Service::start_with(FARM);
+    let proxy = Proxy::to(service.url()).await;
+    let scene = service.generated(&["cornell-box"]).await;
+    let worker = service.join_worker_through(&proxy.url(), &service.scratch("worker"));
+    proxy.hold_at("POST /v1/meshes/");
+    let job = service.submit(&scene, short()).await;
+    proxy.held().await;
+    let phase = async || (service.job(&job).await["attempts"][0]["phase"] == "output").then_some(());
+    service.until("the picture", phase).await;
+    (service, proxy, worker, job)
+}
+
+#[tokio::test]
+async fn a_cancelled_task_does_not_wait_for_structures_that_are_being_published() {
+    let (service, _proxy, _worker, job) = publishing().await;
+    let asked = Instant::now();
+    service.send(service.request(Method::POST, &format!("/v1/jobs/{job}/cancel"))).await;
+    service.job_in(&job, &["cancelled"]).await;
+    assert!(asked.elapsed() < Duration::from_secs(6), "{:?}", asked.elapsed());
+}
+
+#[tokio::test]
+async fn a_worker_that_drains_does_not_wait_for_structures_that_are_being_published() {
+    let (service, _proxy, mut worker, job) = publishing().await;
+    let asked = Instant::now();
+    process::signal(worker.pid(), "TERM");
+    service.until("the worker to end", async || worker.ended()).await;
+    assert!(asked.elapsed() < Duration::from_secs(6), "{:?}", asked.elapsed());
+    assert_eq!(service.job(&job).await["state"], "succeeded", "its task was finished first");
 }
 
 #[tokio::test]
