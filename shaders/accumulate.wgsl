@@ -5,7 +5,7 @@
 //!include scene
 //!include math
 
-@group(2) @binding(0) var<storage, read_write> radiance: array<vec4<f32>>;
+@group(2) @binding(0) var<storage, read_write> paths: array<Path>;
 @group(2) @binding(1) var<storage, read_write> sums: array<vec4<f32>>;
 
 // The value as it is: keeps compilers from simplifying across it by the laws of real numbers.
@@ -25,7 +25,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         low = sums[2u * id.x + 1u].xyz;
     }
     for (var s = 0u; s < wave.samples; s++) {
-        var value = radiance[id.x * wave.samples + s].xyz;
+        var value = paths[id.x * wave.samples + s].radiance.xyz;
         if !is_finite(value) {
             value = vec3<f32>(0.0);
         }

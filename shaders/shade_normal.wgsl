@@ -5,10 +5,10 @@
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= atomicLoad(&active_queue.count) {
+    if id.x >= active_count() {
         return;
     }
-    let slot = active_queue.slots[id.x];
+    let slot = active_slot(id.x);
     let hit = hits[slot];
     if hit.instance != NONE {
         let ray = rays[slot];

@@ -8,13 +8,13 @@ const MAX_SURVIVAL = 0.95;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= atomicLoad(&active_queue.count) {
+    if id.x >= active_count() {
         return;
     }
-    let slot = active_queue.slots[id.x];
+    let slot = active_slot(id.x);
     let ray = rays[slot];
     let hit = hits[slot];
-    let path = paths[slot];
+    let path = paths[slot].state;
     if hit.instance == NONE {
         path_miss(slot, path, ray.direction);
     } else {
@@ -78,10 +78,10 @@ fn path_hit(slot: u32, path: PathState, ray: Ray, hit: Hit) {
     }
     next.pdf = sampled.pdf;
     if scene.environment.light != NONE {
-        let selection = lights[scene.environment.light].selection;
+        let selection = light_at(scene.environment.light).selection;
         next.environment_pdf = selection * environment_pdf(surface.normal, wi);
     }
-    paths[slot] = next;
+    paths[slot].state = next;
     let origin = offset_origin(surface.position, surface.error, surface.geometric_normal, wi);
     continue_path(slot, Ray(origin, 0.0, wi, infinity()));
 }

@@ -7,13 +7,13 @@ const MIRROR_ROUGHNESS = 0.25;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= atomicLoad(&active_queue.count) {
+    if id.x >= active_count() {
         return;
     }
-    let slot = active_queue.slots[id.x];
+    let slot = active_slot(id.x);
     let ray = rays[slot];
     let hit = hits[slot];
-    var path = paths[slot];
+    var path = paths[slot].state;
     if hit.instance == NONE {
         if scene.environment.light != NONE {
             add_radiance(slot, path.throughput * environment_radiance(ray.direction));
@@ -58,7 +58,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if dot(wi, surface.geometric_normal) <= 0.0 || all(path.throughput == vec3<f32>(0.0)) {
         return;
     }
-    paths[slot] = path;
+    paths[slot].state = path;
     let origin = offset_origin(surface.position, surface.error, surface.geometric_normal, wi);
     continue_path(slot, Ray(origin, 0.0, wi, infinity()));
 }

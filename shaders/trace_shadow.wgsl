@@ -4,9 +4,8 @@
 //!include accept_all
 
 @group(2) @binding(0) var<storage, read_write> rays: array<Ray>;
-@group(2) @binding(1) var<storage, read_write> contributions: array<vec4<f32>>;
-@group(2) @binding(2) var<storage, read_write> radiance: array<vec4<f32>>;
-@group(2) @binding(3) var<storage, read_write> queue: array<u32>;
+@group(2) @binding(1) var<storage, read_write> paths: array<Path>;
+@group(2) @binding(2) var<storage, read_write> queue: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -16,6 +15,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let slot = queue[id.x + 1u];
     begin_filter(slot);
     if trace(rays[slot]).hit.instance == NONE {
-        radiance[slot] += contributions[slot];
+        paths[slot].radiance += paths[slot].contribution;
     }
 }

@@ -19,22 +19,22 @@ fn accept(filtered: bool, ray: Ray, hit: Hit) -> bool {
         return true;
     }
     let material = material_index(hit.instance, hit.primitive);
-    let flags = materials[material].flags;
+    let flags = material_at(material).flags;
     if (flags & (MATERIAL_ALPHA_MASK | MATERIAL_ALPHA_BLEND)) == 0u {
         return true;
     }
     let alpha = base_color(material, hit_point(ray, hit)).w;
     if (flags & MATERIAL_ALPHA_MASK) != 0u {
-        return alpha >= materials[material].alpha_cutoff;
+        return alpha >= material_at(material).alpha_cutoff;
     }
     if filter_seed == NONE {
         return alpha >= 0.5;
     }
     var key = hash_combine(hash_combine(filter_seed, hit.instance), hit.primitive);
-    if hit.primitive >= meshes[instances[hit.instance].mesh].triangle_count {
+    if hit.primitive >= mesh_at(instance_at(hit.instance).mesh).triangle_count {
         // A ray meets a sphere twice, and each wall decides for itself.
         let n = sphere_direction(hit.instance, hit.primitive, ray, hit.t);
-        let ahead = transform_vector(instances[hit.instance].world_to_object, ray.direction);
+        let ahead = transform_vector(instance_at(hit.instance).world_to_object, ray.direction);
         key = hash_combine(key, select(0u, 1u, dot(n, ahead) > 0.0));
     }
     return unit_float(key) < alpha;

@@ -17,7 +17,7 @@ fn sample_light(position: vec3<f32>, normal: vec3<f32>, choice: u32, u: f32, v: 
         return no_light();
     }
     let number = select_light(choice);
-    let light = lights[number];
+    let light = light_at(number);
     if light.kind == LIGHT_ENVIRONMENT {
         let direction = sample_environment(normal, u, v);
         return LightSample(
@@ -77,11 +77,11 @@ fn sample_punctual(light: PackedLight, position: vec3<f32>) -> LightSample {
 }
 
 fn triangle_cross(instance: u32, primitive: u32) -> vec3<f32> {
-    let mesh = instances[instance].mesh;
+    let mesh = instance_at(instance).mesh;
     let triangle = triangle_vertices(mesh, primitive);
     let a = corner(mesh, triangle.x);
-    let e1 = transform_vector(instances[instance].object_to_world, corner(mesh, triangle.y) - a);
-    let e2 = transform_vector(instances[instance].object_to_world, corner(mesh, triangle.z) - a);
+    let e1 = transform_vector(instance_at(instance).object_to_world, corner(mesh, triangle.y) - a);
+    let e2 = transform_vector(instance_at(instance).object_to_world, corner(mesh, triangle.z) - a);
     return cross(e1, e2);
 }
 
@@ -112,7 +112,7 @@ fn sample_triangle(light: PackedLight, position: vec3<f32>, u: f32, v: f32) -> L
 }
 
 fn opacity(point: SurfacePoint) -> f32 {
-    let flags = materials[point.material].flags;
+    let flags = material_at(point.material).flags;
     if (flags & (MATERIAL_ALPHA_MASK | MATERIAL_ALPHA_BLEND)) == 0u {
         return 1.0;
     }
@@ -120,13 +120,13 @@ fn opacity(point: SurfacePoint) -> f32 {
     if (flags & MATERIAL_ALPHA_MASK) == 0u {
         return clamp(alpha, 0.0, 1.0);
     }
-    return select(0.0, 1.0, alpha >= materials[point.material].alpha_cutoff);
+    return select(0.0, 1.0, alpha >= material_at(point.material).alpha_cutoff);
 }
 
 // World-space centre and radius.
 fn world_sphere(instance: u32, primitive: u32) -> vec4<f32> {
-    let rows = instances[instance].object_to_world;
-    let sphere = sphere_of(instances[instance].mesh, primitive);
+    let rows = instance_at(instance).object_to_world;
+    let sphere = sphere_of(instance_at(instance).mesh, primitive);
     let axis = transform_vector(rows, vec3<f32>(sphere.w, 0.0, 0.0));
     return vec4<f32>(transform_point(rows, sphere.xyz), sqrt(dot(axis, axis)));
 }
@@ -147,7 +147,7 @@ fn sample_sphere(light: PackedLight, position: vec3<f32>, u: f32, v: f32) -> Lig
         let sine = sqrt(max(sine2, 0.0));
         let direction = to_world(basis(axis), axis, vec3<f32>(sine * cos(phi), sine * sin(phi), 1.0 - lost));
         let outward = position + direction * along - sphere.xyz;
-        n = normalize_or(transform_vector(instances[light.instance].world_to_object, outward), n);
+        n = normalize_or(transform_vector(instance_at(light.instance).world_to_object, outward), n);
     }
     let point = sphere_point(light.instance, light.primitive, n);
     let density = sphere_pdf(light.instance, light.primitive, position, point.position, n);
@@ -155,7 +155,7 @@ fn sample_sphere(light: PackedLight, position: vec3<f32>, u: f32, v: f32) -> Lig
 }
 
 fn sphere_cone(instance: u32, primitive: u32, position: vec3<f32>) -> f32 {
-    if (instances[instance].flags & INSTANCE_SIMILARITY) == 0u {
+    if (instance_at(instance).flags & INSTANCE_SIMILARITY) == 0u {
         return 0.0;
     }
     let sphere = world_sphere(instance, primitive);
@@ -173,9 +173,9 @@ fn sphere_pdf(instance: u32, primitive: u32, position: vec3<f32>, to: vec3<f32>,
     if cone > 0.0 {
         return 1.0 / (TWO_PI * cone);
     }
-    let radius = sphere_of(instances[instance].mesh, primitive).w;
+    let radius = sphere_of(instance_at(instance).mesh, primitive).w;
     // Area element of the image of the unit sphere: cofactor(M) n, whose direction is the normal.
-    let m = instances[instance].object_to_world;
+    let m = instance_at(instance).object_to_world;
     let x = vec3<f32>(m[0].x, m[1].x, m[2].x);
     let y = vec3<f32>(m[0].y, m[1].y, m[2].y);
     let z = vec3<f32>(m[0].z, m[1].z, m[2].z);
@@ -192,7 +192,7 @@ fn sphere_pdf(instance: u32, primitive: u32, position: vec3<f32>, to: vec3<f32>,
 fn emitter_pdf(
     instance: u32, primitive: u32, position: vec3<f32>, to: vec3<f32>, geometric_normal: vec3<f32>,
 ) -> f32 {
-    let emitter_base = instances[instance].emitter_base;
+    let emitter_base = instance_at(instance).emitter_base;
     if emitter_base == NONE {
         return 0.0;
     }
@@ -200,8 +200,8 @@ fn emitter_pdf(
     if number == NONE {
         return 0.0;
     }
-    let selection = lights[number].selection;
-    if primitive < meshes[instances[instance].mesh].triangle_count {
+    let selection = light_at(number).selection;
+    if primitive < mesh_at(instance_at(instance).mesh).triangle_count {
         let to_light = to - position;
         let distance2 = dot(to_light, to_light);
         let projected = 0.5 * abs(dot(triangle_cross(instance, primitive), to_light));
@@ -211,6 +211,6 @@ fn emitter_pdf(
         return selection * distance2 * sqrt(distance2) / projected;
     }
     // The object-space normal back from the world's: transpose(M) N, the inverse of the inverse transpose.
-    let n = transform_normal(instances[instance].object_to_world, geometric_normal);
+    let n = transform_normal(instance_at(instance).object_to_world, geometric_normal);
     return selection * sphere_pdf(instance, primitive, position, to, normalize_or(n, vec3<f32>(0.0, 1.0, 0.0)));
 }

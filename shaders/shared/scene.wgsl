@@ -102,10 +102,16 @@ struct PackedCamera {
     _pad: u32,
 }
 
-// What does not change between dispatches. Offsets are in words of the pool that holds the array.
+// What does not change between dispatches. Offsets of structs are in elements of `tables`, the others in words of the
+// pool that holds the array.
 struct SceneInfo {
     camera: PackedCamera,
     environment: PackedEnvironment,
+    meshes: u32,
+    instances: u32,
+    materials: u32,
+    textures: u32,
+    lights: u32,
     positions: u32,
     triangles: u32,
     slots: u32,
@@ -120,7 +126,7 @@ struct SceneInfo {
     sobol: u32,
     environment_texels: u32,
     environment_cdf: u32,
-    _pad: vec2<u32>,
+    _pad: u32,
 }
 
 // One dispatch's part of the work: slots 0 .. pixels * samples are the samples of a run of the region's pixels.
@@ -150,16 +156,15 @@ struct Wave {
     accumulated: u32,
     // Always 0, which compilers cannot know.
     zero: u32,
-    _pad1: u32,
-    _pad2: u32,
+    // Slots that the buffers between the stages have room for.
+    capacity: u32,
+    // Number of the queue with the active paths, 0 or 1.
+    active_queue: u32,
 }
 
-@group(1) @binding(0) var<storage, read> meshes: array<PackedMesh>;
-@group(1) @binding(1) var<storage, read> instances: array<PackedInstance>;
-@group(1) @binding(2) var<storage, read> materials: array<PackedMaterial>;
-@group(1) @binding(3) var<storage, read> textures: array<PackedTexture>;
-@group(1) @binding(4) var<storage, read> lights: array<PackedLight>;
-// Geometry and tables, then texels and the environment map.
+// All arrays of structs, one after the other: adapters bind few storage buffers at once.
+@group(1) @binding(0) var<storage, read> tables: array<vec4<u32>>;
+// Geometry and lists of numbers, then texels and the environment map.
 //!pool words
 //!pool texels
 @group(3) @binding(0) var<uniform> scene: SceneInfo;
@@ -167,4 +172,57 @@ struct Wave {
 
 fn float_at(i: u32) -> f32 {
     return bitcast<f32>(words_at(i));
+}
+
+fn table_floats(i: u32) -> vec4<f32> {
+    return bitcast<vec4<f32>>(tables[i]);
+}
+
+fn mesh_at(number: u32) -> PackedMesh {
+    let i = scene.meshes + 3u * number;
+    let a = tables[i];
+    let b = tables[i + 1u];
+    let c = tables[i + 2u];
+    return PackedMesh(a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x, c.y, c.z, c.w);
+}
+
+fn instance_at(number: u32) -> PackedInstance {
+    let i = scene.instances + 7u * number;
+    let ids = tables[i + 6u];
+    return PackedInstance(
+        array<vec4<f32>, 3>(table_floats(i), table_floats(i + 1u), table_floats(i + 2u)),
+        array<vec4<f32>, 3>(table_floats(i + 3u), table_floats(i + 4u), table_floats(i + 5u)),
+        ids.x, ids.y, ids.z, ids.w,
+    );
+}
+
+fn material_at(number: u32) -> PackedMaterial {
+    let i = scene.materials + 5u * number;
+    let b = table_floats(i + 1u);
+    let c = table_floats(i + 2u);
+    let d = tables[i + 3u];
+    let e = tables[i + 4u];
+    return PackedMaterial(
+        table_floats(i), b.xyz, b.w, c.xyz, c.w, bitcast<f32>(d.x), bitcast<f32>(d.y), d.z, d.w, e.x, e.y, e.z, e.w,
+    );
+}
+
+fn texture_at(number: u32) -> PackedTexture {
+    let i = scene.textures + 3u * number;
+    let a = table_floats(i);
+    let b = tables[i + 1u];
+    let c = tables[i + 2u];
+    let transform = array<f32, 6>(a.x, a.y, a.z, a.w, bitcast<f32>(b.x), bitcast<f32>(b.y));
+    return PackedTexture(transform, b.z, b.w, c.x, c.y, array<u32, 2>(c.z, c.w));
+}
+
+fn light_at(number: u32) -> PackedLight {
+    let i = scene.lights + 4u * number;
+    let a = tables[i];
+    let b = table_floats(i + 1u);
+    let c = table_floats(i + 2u);
+    let d = tables[i + 3u];
+    return PackedLight(
+        bitcast<vec3<f32>>(a.xyz), a.w, b.xyz, b.w, c.xyz, c.w, bitcast<f32>(d.x), bitcast<f32>(d.y), d.z, d.w,
+    );
 }

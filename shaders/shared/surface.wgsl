@@ -32,8 +32,8 @@ struct Surface {
 }
 
 fn material_index(instance: u32, primitive: u32) -> u32 {
-    let slot = words_at(scene.slots + meshes[instances[instance].mesh].slot_offset + primitive);
-    return words_at(scene.instance_materials + instances[instance].material_base + slot);
+    let slot = words_at(scene.slots + mesh_at(instance_at(instance).mesh).slot_offset + primitive);
+    return words_at(scene.instance_materials + instance_at(instance).material_base + slot);
 }
 
 fn float3_at(i: u32) -> vec3<f32> {
@@ -67,17 +67,17 @@ fn attribute4(offset: u32, triangle: vec3<u32>, b: vec3<f32>) -> vec4<f32> {
 }
 
 fn triangle_vertices(mesh: u32, primitive: u32) -> vec3<u32> {
-    let i = scene.triangles + 3u * (meshes[mesh].triangle_offset + primitive);
+    let i = scene.triangles + 3u * (mesh_at(mesh).triangle_offset + primitive);
     return vec3<u32>(words_at(i), words_at(i + 1u), words_at(i + 2u));
 }
 
 fn corner(mesh: u32, vertex: u32) -> vec3<f32> {
-    return float3_at(scene.positions + 3u * (meshes[mesh].position_offset + vertex));
+    return float3_at(scene.positions + 3u * (mesh_at(mesh).position_offset + vertex));
 }
 
 fn triangle_point(instance: u32, primitive: u32, u: f32, v: f32) -> SurfacePoint {
-    let inst = instances[instance];
-    let mesh = meshes[inst.mesh];
+    let inst = instance_at(instance);
+    let mesh = mesh_at(inst.mesh);
     let triangle = triangle_vertices(inst.mesh, primitive);
     let p0 = corner(inst.mesh, triangle.x);
     let p1 = corner(inst.mesh, triangle.y);
@@ -114,11 +114,11 @@ fn triangle_point(instance: u32, primitive: u32, u: f32, v: f32) -> SurfacePoint
 
 // Centre and radius of a sphere, object space.
 fn sphere_of(mesh: u32, primitive: u32) -> vec4<f32> {
-    return float4_at(scene.spheres + 4u * (meshes[mesh].sphere_offset + primitive - meshes[mesh].triangle_count));
+    return float4_at(scene.spheres + 4u * (mesh_at(mesh).sphere_offset + primitive - mesh_at(mesh).triangle_count));
 }
 
 fn sphere_point(instance: u32, primitive: u32, n: vec3<f32>) -> SurfacePoint {
-    let inst = instances[instance];
+    let inst = instance_at(instance);
     let sphere = sphere_of(inst.mesh, primitive);
     var point: SurfacePoint;
     point.position = transform_point(inst.object_to_world, sphere.xyz + n * sphere.w);
@@ -139,7 +139,7 @@ fn sphere_point(instance: u32, primitive: u32, n: vec3<f32>) -> SurfacePoint {
 }
 
 fn sphere_direction(instance: u32, primitive: u32, ray: Ray, t: f32) -> vec3<f32> {
-    let inst = instances[instance];
+    let inst = instance_at(instance);
     let m = inst.object_to_world;
     let origin = transform_vector(inst.world_to_object, ray.origin - vec3<f32>(m[0].w, m[1].w, m[2].w));
     let direction = transform_vector(inst.world_to_object, ray.direction);
@@ -147,15 +147,15 @@ fn sphere_direction(instance: u32, primitive: u32, ray: Ray, t: f32) -> vec3<f32
 }
 
 fn hit_point(ray: Ray, hit: Hit) -> SurfacePoint {
-    if hit.primitive < meshes[instances[hit.instance].mesh].triangle_count {
+    if hit.primitive < mesh_at(instance_at(hit.instance).mesh).triangle_count {
         return triangle_point(hit.instance, hit.primitive, hit.u, hit.v);
     }
     return sphere_point(hit.instance, hit.primitive, sphere_direction(hit.instance, hit.primitive, ray, hit.t));
 }
 
 fn base_color(material: u32, point: SurfacePoint) -> vec4<f32> {
-    var color = materials[material].base_color * point.color;
-    let number = materials[material].base_color_texture;
+    var color = material_at(material).base_color * point.color;
+    let number = material_at(material).base_color_texture;
     if number != NONE {
         color *= sample_texture(number, point.uv0, point.uv1);
     }
@@ -163,8 +163,8 @@ fn base_color(material: u32, point: SurfacePoint) -> vec4<f32> {
 }
 
 fn emission(material: u32, point: SurfacePoint) -> vec3<f32> {
-    var e = materials[material].emissive;
-    let number = materials[material].emissive_texture;
+    var e = material_at(material).emissive;
+    let number = material_at(material).emissive_texture;
     if number != NONE && any(e != vec3<f32>(0.0)) {
         e *= sample_texture(number, point.uv0, point.uv1).xyz;
     }
@@ -173,7 +173,7 @@ fn emission(material: u32, point: SurfacePoint) -> vec3<f32> {
 
 fn mapped_normal(material: u32, point: SurfacePoint) -> vec3<f32> {
     let n = point.smooth_normal;
-    let number = materials[material].normal_texture;
+    let number = material_at(material).normal_texture;
     if number == NONE || point.bitangent_sign == 0.0 {
         return n;
     }
@@ -181,8 +181,8 @@ fn mapped_normal(material: u32, point: SurfacePoint) -> vec3<f32> {
     let tangent = normalize_or(along, basis(n).tangent);
     let bitangent = cross(n, tangent) * point.bitangent_sign;
     let t = sample_texture(number, point.uv0, point.uv1);
-    let x = (2.0 * t.x - 1.0) * materials[material].normal_scale;
-    let y = (2.0 * t.y - 1.0) * materials[material].normal_scale;
+    let x = (2.0 * t.x - 1.0) * material_at(material).normal_scale;
+    let y = (2.0 * t.y - 1.0) * material_at(material).normal_scale;
     let z = 2.0 * t.z - 1.0;
     return normalize_or(tangent * x + bitangent * y + n * z, n);
 }
@@ -204,7 +204,7 @@ fn valid_normal(normal: vec3<f32>, geometric_normal: vec3<f32>, to_viewer: vec3<
 }
 
 fn shade_point(point: SurfacePoint, to_viewer: vec3<f32>) -> Surface {
-    let material = materials[point.material];
+    let material = material_at(point.material);
     let color = base_color(point.material, point);
     var metallic = material.metallic;
     var roughness = material.roughness;

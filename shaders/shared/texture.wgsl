@@ -1,7 +1,7 @@
 // Twin of integrate/texture.rs.
 
 fn sample_texture(number: u32, uv0: vec2<f32>, uv1: vec2<f32>) -> vec4<f32> {
-    let t = textures[number];
+    let t = texture_at(number);
     let uv = select(uv0, uv1, (t.flags & TEXTURE_UV1) != 0u);
     let u = t.transform[0] * uv.x + t.transform[1] * uv.y + t.transform[2];
     let v = t.transform[3] * uv.x + t.transform[4] * uv.y + t.transform[5];

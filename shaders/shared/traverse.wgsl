@@ -14,10 +14,9 @@
 //!pool nodes
 //!pool prims
 
-// An instance as a leaf entry of the top level: rows of the inverse 3x3 matrix, each with a component of the translation
-// that comes off before it; then (root node, instance, flags, 0).
-@group(0) @binding(8) var<storage, read> placements: array<vec4<u32>>;
-
+// `prims` begins with the leaf entries of the top level, four elements an instance: rows of the inverse 3x3 matrix, each
+// with a component of the translation that comes off before it; then (root node, instance, flags, 0). From the next
+// multiple of three on those of the meshes, three elements a primitive.
 const PLACEMENT_FILTERED = 1u;
 const PRIMITIVE_SPHERE = 1u;
 
@@ -38,19 +37,30 @@ fn byte_lanes(word: u32) -> vec4<u32> {
     return vec4<u32>(word & 0xffu, (word >> 8u) & 0xffu, (word >> 16u) & 0xffu, word >> 24u);
 }
 
+// Quantised planes of four children. Signed, since that is the cheaper conversion on CPUs.
+fn planes(word: u32) -> vec4<f32> {
+    return vec4<f32>(bitcast<vec4<i32>>(byte_lanes(word)));
+}
+
+// Distances by their bits, which order floats as long as those that count are not negative: `first` is not below t_min,
+// and a `last` below zero stays below. Spares the minima and maxima their care for values that are not numbers.
+fn ordered(distances: vec4<f32>) -> vec4<i32> {
+    return bitcast<vec4<i32>>(distances);
+}
+
 // Tests four children. `near` and `far` are their quantised planes on the side where the ray enters and leaves.
 fn hit_bits(
     meta_word: u32, near_x: u32, near_y: u32, near_z: u32, far_x: u32, far_y: u32, far_z: u32,
     scale: vec3<f32>, enter: vec3<f32>, leave: vec3<f32>, t_min: f32, t_max: f32, octant4: u32,
 ) -> u32 {
-    let enter_x = vec4<f32>(byte_lanes(near_x)) * scale.x + enter.x;
-    let enter_y = vec4<f32>(byte_lanes(near_y)) * scale.y + enter.y;
-    let enter_z = vec4<f32>(byte_lanes(near_z)) * scale.z + enter.z;
-    let leave_x = vec4<f32>(byte_lanes(far_x)) * scale.x + leave.x;
-    let leave_y = vec4<f32>(byte_lanes(far_y)) * scale.y + leave.y;
-    let leave_z = vec4<f32>(byte_lanes(far_z)) * scale.z + leave.z;
-    let first = max(max(enter_x, enter_y), max(enter_z, vec4<f32>(t_min)));
-    let last = min(min(leave_x, leave_y), min(leave_z, vec4<f32>(t_max)));
+    let enter_x = planes(near_x) * scale.x + enter.x;
+    let enter_y = planes(near_y) * scale.y + enter.y;
+    let enter_z = planes(near_z) * scale.z + enter.z;
+    let leave_x = planes(far_x) * scale.x + leave.x;
+    let leave_y = planes(far_y) * scale.y + leave.y;
+    let leave_z = planes(far_z) * scale.z + leave.z;
+    let first = max(max(ordered(enter_x), ordered(enter_y)), max(ordered(enter_z), vec4<i32>(bitcast<i32>(t_min))));
+    let last = min(min(ordered(leave_x), ordered(leave_y)), min(ordered(leave_z), vec4<i32>(bitcast<i32>(t_max))));
     let is_inner = (meta_word & (meta_word << 1u)) & 0x10101010u;
     let inner_mask = (is_inner >> 4u) * 0xffu;
     let index = byte_lanes((meta_word ^ (octant4 & inner_mask)) & 0x1f1f1f1fu);
@@ -115,7 +125,7 @@ fn is_nearer(t: f32, t_min: f32, best: Hit, found: bool, instance: u32, primitiv
     return t > t_min && (t < best.t || (t == best.t && wins_tie));
 }
 
-// The nearest hit in (t_min, t_max), or with ANY_HIT some hit.
+// The nearest hit in (t_min, t_max), or with ANY_HIT some hit. `t_min` is not negative.
 fn trace(world: Ray) -> Trace {
     var result: Trace;
     var best = Hit(world.t_max, 0.0, 0.0, 0u, 0u);
@@ -166,10 +176,10 @@ fn trace(world: Ray) -> Trace {
                     sp += 1u;
                 }
                 floor_sp = sp;
-                let r0 = bitcast<vec4<f32>>(placements[entry * 4u]);
-                let r1 = bitcast<vec4<f32>>(placements[entry * 4u + 1u]);
-                let r2 = bitcast<vec4<f32>>(placements[entry * 4u + 2u]);
-                let r3 = placements[entry * 4u + 3u];
+                let r0 = bitcast<vec4<f32>>(prims_at(entry * 4u));
+                let r1 = bitcast<vec4<f32>>(prims_at(entry * 4u + 1u));
+                let r2 = bitcast<vec4<f32>>(prims_at(entry * 4u + 2u));
+                let r3 = prims_at(entry * 4u + 3u);
                 let o = world.origin - vec3<f32>(r0.w, r1.w, r2.w);
                 let d = world.direction;
                 ray = prepare_ray(
@@ -185,22 +195,24 @@ fn trace(world: Ray) -> Trace {
                 let p0 = prims_at(entry * 3u);
                 let p1 = prims_at(entry * 3u + 1u);
                 let p2 = prims_at(entry * 3u + 2u);
-                let primitive = bitcast<u32>(p0.w);
+                let primitive = p0.w;
                 if COUNTING {
                     result.primitive_tests += 1u;
                 }
-                var tuv = intersect_triangle(ray, p0.xyz, p1.xyz, p2.xyz);
+                let a = bitcast<vec3<f32>>(p0.xyz);
+                let b = bitcast<vec3<f32>>(p1.xyz);
+                var tuv = intersect_triangle(ray, a, b, bitcast<vec3<f32>>(p2.xyz));
                 if SPHERES {
-                    if bitcast<u32>(p1.w) == PRIMITIVE_SPHERE {
-                        tuv = intersect_sphere(ray, p0.xyz, p1.x, world.t_min);
+                    if p1.w == PRIMITIVE_SPHERE {
+                        tuv = intersect_sphere(ray, a, b.x, world.t_min);
                     }
                 }
                 var taken = is_nearer(tuv.x, world.t_min, best, found, instance, primitive)
                     && accept(filtered, world, Hit(tuv.x, tuv.y, tuv.z, instance, primitive));
                 if SPHERES && FILTERED {
                     // A ray that the sphere's near wall lets through may still meet the far one.
-                    if !taken && filtered && bitcast<u32>(p1.w) == PRIMITIVE_SPHERE {
-                        tuv = intersect_sphere(ray, p0.xyz, p1.x, max(tuv.x, world.t_min));
+                    if !taken && filtered && p1.w == PRIMITIVE_SPHERE {
+                        tuv = intersect_sphere(ray, a, b.x, max(tuv.x, world.t_min));
                         taken = is_nearer(tuv.x, world.t_min, best, found, instance, primitive)
                             && accept(filtered, world, Hit(tuv.x, tuv.y, tuv.z, instance, primitive));
                     }

@@ -6,8 +6,6 @@
 //!pool nodes
 //!pool prims
 
-@group(0) @binding(8) var<storage, read> placements: array<vec4<u32>>;
-
 struct Trace {
     hit: Hit,
     box_tests: u32,
@@ -64,10 +62,10 @@ fn trace(world: Ray) -> Trace {
                 if floor_sp == NONE {
                     // Leaves of this top level hold one instance each.
                     floor_sp = sp;
-                    let r0 = bitcast<vec4<f32>>(placements[entry * 4u]);
-                    let r1 = bitcast<vec4<f32>>(placements[entry * 4u + 1u]);
-                    let r2 = bitcast<vec4<f32>>(placements[entry * 4u + 2u]);
-                    let r3 = placements[entry * 4u + 3u];
+                    let r0 = bitcast<vec4<f32>>(prims_at(entry * 4u));
+                    let r1 = bitcast<vec4<f32>>(prims_at(entry * 4u + 1u));
+                    let r2 = bitcast<vec4<f32>>(prims_at(entry * 4u + 2u));
+                    let r3 = prims_at(entry * 4u + 3u);
                     let o = world.origin - vec3<f32>(r0.w, r1.w, r2.w);
                     let d = world.direction;
                     ray = prepare_ray(
@@ -80,8 +78,8 @@ fn trace(world: Ray) -> Trace {
                     let p0 = prims_at(entry * 3u);
                     let p1 = prims_at(entry * 3u + 1u);
                     let p2 = prims_at(entry * 3u + 2u);
-                    let primitive = bitcast<u32>(p0.w);
-                    let tuv = intersect_triangle(ray, p0.xyz, p1.xyz, p2.xyz);
+                    let primitive = p0.w;
+                    let tuv = intersect_triangle(ray, bitcast<vec3<f32>>(p0.xyz), bitcast<vec3<f32>>(p1.xyz), bitcast<vec3<f32>>(p2.xyz));
                     let nearer = tuv.x < best.t || (tuv.x == best.t && found
                         && (instance < best.instance || (instance == best.instance && primitive < best.primitive)));
                     if tuv.x > world.t_min && nearer {

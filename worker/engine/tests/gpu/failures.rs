@@ -86,3 +86,14 @@ fn a_pass_outside_its_film_is_refused() {
     let pass = Pass { region, first_sample: 0, samples: 1 };
     assert!(matches!(renderer.render(&pass, &mut film, &|| false), Err(DeviceError::Other(_))));
 }
+
+#[test]
+fn a_scene_that_needs_more_bindings_than_there_are_is_refused() {
+    let settings = settings(Integrator::Direct);
+    let context = Arc::new(Context::open_within(None, 8, 16 << 10).expect("opens"));
+    let mut device = GpuDevice::with_context(context);
+    let Err(DeviceError::TooLarge(message)) = device.prepare(packed(&opaque(), &settings), &settings) else {
+        panic!("prepared what does not fit");
+    };
+    assert!(message.contains("storage buffers") || message.contains("bindings"), "{message}");
+}

@@ -5,6 +5,7 @@
 mod common;
 mod failures;
 mod pictures;
+mod portability;
 mod scenes;
 mod shafts;
 mod traversal;

@@ -1,9 +1,10 @@
 //! Both devices give the same picture: the same random numbers, the same arithmetic.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use lightshaft_engine::device::cpu::CpuDevice;
-use lightshaft_engine::device::gpu::GpuDevice;
+use lightshaft_engine::device::gpu::{Context, GpuDevice};
 use lightshaft_engine::device::{Device, Pass, PassStats, Region};
 use lightshaft_engine::film::{AovBuffers, AovLayer, PassFilm};
 use lightshaft_engine::scene::Scene;
@@ -24,8 +25,13 @@ fn render(device: &mut dyn Device, scene: &Scene, settings: &RenderSettings) -> 
 /// Renders on both devices. Differences come from rays that graze an edge on one device only: few pixels, and no bias.
 #[track_caller]
 fn assert_same_picture(name: &str, scene: &Scene, settings: &RenderSettings) {
+    assert_same_picture_on(context(), name, scene, settings);
+}
+
+#[track_caller]
+fn assert_same_picture_on(context: Arc<Context>, name: &str, scene: &Scene, settings: &RenderSettings) {
     let (cpu, cpu_stats) = render(&mut CpuDevice::new(), scene, settings);
-    let (gpu, gpu_stats) = render(&mut GpuDevice::with_context(context()), scene, settings);
+    let (gpu, gpu_stats) = render(&mut GpuDevice::with_context(context), scene, settings);
     let mean = |picture: &[[f32; 3]]| {
         picture.iter().flatten().map(|&c| f64::from(c)).sum::<f64>() / (3 * picture.len()) as f64
     };
@@ -68,6 +74,13 @@ fn path() {
 fn path_without_alpha_under_a_map() {
     let settings = RenderSettings { environment: sky(), ..settings(Integrator::Path { max_bounces: 3 }) };
     assert_same_picture("path-sky", &opaque(), &settings);
+}
+
+/// With no more bindings than WebGPU promises: every adapter has that many.
+#[test]
+fn path_with_eight_storage_buffers() {
+    let context = Arc::new(Context::open_within(None, 8, u64::MAX).expect("opens"));
+    assert_same_picture_on(context, "path-8", &everything(), &settings(Integrator::Path { max_bounces: 2 }));
 }
 
 #[test]

@@ -2,9 +2,9 @@
 
 use crate::device::{DeviceError, DeviceInfo};
 
-/// Storage buffers that one shader stage of ours binds at least (see `scene.rs`; pools that need several bindings take
-/// more).
-pub const REQUIRED_STORAGE_BUFFERS: u32 = 16;
+/// Storage buffers that one shader stage of ours binds at most, where each pool fits one binding: WebGPU's default
+/// limit, which every adapter has.
+pub const REQUIRED_STORAGE_BUFFERS: u32 = 8;
 
 /// Every adapter that wgpu finds, the preferred one first: hardware before software, discrete before integrated.
 /// Adapters that miss a requirement are listed all the same; preparing a scene on one says what it lacks.

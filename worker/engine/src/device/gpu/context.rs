@@ -12,6 +12,10 @@ use crate::device::{DeviceError, DeviceInfo};
 /// A submit is sized to tens of milliseconds; one that takes this long means a hung driver.
 const SUBMIT_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// The same for drivers that run on the CPU: they compile a kernel in the first submit that uses it, which takes minutes
+/// on a machine that is busy with other work.
+const SOFTWARE_SUBMIT_TIMEOUT: Duration = Duration::from_secs(900);
+
 /// Waits are cut into slices of this length, so that the news of a lost device is not waited for.
 const WAIT_SLICE: Duration = Duration::from_millis(250);
 
@@ -34,9 +38,17 @@ pub struct Context {
 impl Context {
     /// Opens the preferred adapter, or the first whose name contains `name`, with all the limits that it has.
     pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
+        Self::open_within(name, u32::MAX, u64::MAX)
+    }
+
+    /// As [`Self::open`], but as if the adapter bound no more than so many storage buffers per shader stage, of so many
+    /// bytes each: for tests of what other adapters can do.
+    pub fn open_within(name: Option<&str>, storage_buffers: u32, binding_bytes: u64) -> Result<Self, DeviceError> {
         let adapter = adapter::select(name)?;
         let info = adapter::describe(&adapter);
-        let limits = adapter.limits();
+        let mut limits = adapter.limits();
+        limits.max_storage_buffers_per_shader_stage = limits.max_storage_buffers_per_shader_stage.min(storage_buffers);
+        limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(binding_bytes);
         let descriptor =
             wgpu::DeviceDescriptor { label: Some("lightshaft"), required_limits: limits.clone(), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -147,6 +159,20 @@ impl Context {
         Ok(())
     }
 
+    /// [`DeviceError::TooLarge`] when a shader stage would bind more storage buffers than the device can: the case of
+    /// scenes whose arrays take several bindings each.
+    pub(super) fn check_bindings(&self, needed: usize) -> Result<(), DeviceError> {
+        let has = self.limits.max_storage_buffers_per_shader_stage;
+        if needed <= has as usize {
+            return Ok(());
+        }
+        Err(DeviceError::TooLarge(format!(
+            "the scene takes {needed} storage buffers of up to {} MiB in one shader stage, `{}` binds {has}",
+            self.binding_limit() >> 20,
+            self.info.name
+        )))
+    }
+
     /// Bytes that one storage binding may have.
     pub(super) fn binding_limit(&self) -> u64 {
         self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)
@@ -179,7 +205,7 @@ impl Context {
     pub(super) fn bind_buffers(
         &self,
         label: &str,
-        buffers: &[&wgpu::Buffer],
+        buffers: &[wgpu::BufferBinding<'_>],
     ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
         self.bind(label, &numbered(buffers), wgpu::BufferBindingType::Storage { read_only: false })
     }
@@ -188,7 +214,7 @@ impl Context {
     pub(super) fn bind_uniforms(
         &self,
         label: &str,
-        buffers: &[&wgpu::Buffer],
+        buffers: &[wgpu::BufferBinding<'_>],
     ) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
         self.bind(label, &numbered(buffers), wgpu::BufferBindingType::Uniform)
     }
@@ -258,8 +284,18 @@ impl Context {
         Ok(started.elapsed().as_secs_f64())
     }
 
-    /// Copies `bytes` from the start of `source`, after all that was submitted.
+    /// `count` values from the start of `source`, after all that was submitted.
     pub(super) fn read<T: bytemuck::Pod>(&self, source: &wgpu::Buffer, count: usize) -> Result<Vec<T>, DeviceError> {
+        self.read_at(source, 0, count)
+    }
+
+    /// `count` values from byte `offset` on.
+    pub(super) fn read_at<T: bytemuck::Pod>(
+        &self,
+        source: &wgpu::Buffer,
+        offset: u64,
+        count: usize,
+    ) -> Result<Vec<T>, DeviceError> {
         let bytes = (count * size_of::<T>()) as u64;
         if bytes == 0 {
             return Ok(Vec::new());
@@ -267,7 +303,7 @@ impl Context {
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         let staging = self.buffer("read-back", bytes, usage)?;
         let mut encoder = self.encoder();
-        encoder.copy_buffer_to_buffer(source, 0, &staging, 0, bytes);
+        encoder.copy_buffer_to_buffer(source, offset, &staging, 0, bytes);
         encoder.map_buffer_on_submit(&staging, wgpu::MapMode::Read, 0..bytes, |_| ());
         self.submit(encoder)?;
         let view = staging
@@ -279,7 +315,8 @@ impl Context {
     }
 
     fn wait(&self, index: wgpu::SubmissionIndex) -> Result<(), DeviceError> {
-        let deadline = Instant::now() + SUBMIT_TIMEOUT;
+        let timeout = if adapter::is_software(&self.info) { SOFTWARE_SUBMIT_TIMEOUT } else { SUBMIT_TIMEOUT };
+        let deadline = Instant::now() + timeout;
         loop {
             let wait = wgpu::PollType::Wait { submission_index: Some(index.clone()), timeout: Some(WAIT_SLICE) };
             match self.device.poll(wait) {
@@ -295,10 +332,15 @@ impl Context {
     }
 }
 
-fn numbered<'a>(buffers: &[&'a wgpu::Buffer]) -> Vec<wgpu::BindGroupEntry<'a>> {
-    let entry = |(binding, buffer): (u32, &&'a wgpu::Buffer)| wgpu::BindGroupEntry {
+/// All of a buffer, to be bound.
+pub(super) fn whole(buffer: &wgpu::Buffer) -> wgpu::BufferBinding<'_> {
+    buffer.as_entire_buffer_binding()
+}
+
+fn numbered<'a>(buffers: &[wgpu::BufferBinding<'a>]) -> Vec<wgpu::BindGroupEntry<'a>> {
+    let entry = |(binding, buffer): (u32, &wgpu::BufferBinding<'a>)| wgpu::BindGroupEntry {
         binding,
-        resource: buffer.as_entire_binding(),
+        resource: wgpu::BindingResource::Buffer(buffer.clone()),
     };
     (0..).zip(buffers).map(entry).collect()
 }

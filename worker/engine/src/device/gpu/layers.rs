@@ -1,5 +1,6 @@
 //! First-hit layers: one stage that traces and shades rays through pixel centres.
 
+use super::context::whole;
 use super::renderer::Resident;
 use super::scene::Wave;
 use super::stages::{Run, compose_trace};
@@ -35,7 +36,7 @@ impl Layers {
         let Resident { context, structure, scene } = resident;
         let storage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC;
         let buffer = context.buffer("first hits", u64::from(pixels) * size_of::<FirstHit>() as u64, storage)?;
-        let (layout, group) = context.bind_buffers("first hits", &[&buffer]);
+        let (layout, group) = context.bind_buffers("first hits", &[whole(&buffer)]);
         let source = compose_trace("first_hit", structure, scene, false, true);
         let groups = [Some(&structure.layout), Some(&scene.layout), Some(&layout), Some(&scene.uniform_layout)];
         let pipeline = context.pipeline(&source, &groups);

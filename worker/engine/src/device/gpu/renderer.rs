@@ -6,10 +6,11 @@ use std::time::Instant;
 use super::context::Context;
 use super::layers::Layers;
 use super::scene::{GpuScene, Wave};
-use super::stages::{Run, Stages};
+use super::stages::{MIN_SLOTS, Run, Stages, WIDEST_SLOT_BYTES, most_bindings};
 use super::structure::{GpuStructure, HostStructure};
 use crate::device::{DeviceError, Pass, PassStats, RayCounts, Region, Renderer, Watch};
 use crate::film::{AovBuffers, PassFilm};
+use crate::integrate::aov::FirstHit;
 use crate::pack::{NONE, PackedScene};
 use crate::settings::{Integrator, RenderSettings};
 use crate::trace::Counters;
@@ -19,7 +20,6 @@ use crate::trace::Counters;
 const SUBMIT_TARGET_S: f64 = 0.025;
 /// First wave: small, because nothing is known of the device's speed.
 const FIRST_SLOTS: u32 = 2048;
-const MIN_SLOTS: u32 = 256;
 const MAX_SLOTS: u32 = 1 << 20;
 /// Samples of a pixel that stand side by side in a wave, when there are so many: their rays are alike.
 const SAMPLES_TOGETHER: u32 = 16;
@@ -39,6 +39,7 @@ impl Resident {
     fn upload(context: Arc<Context>, packed: &PackedScene) -> Result<Self, DeviceError> {
         let structure = GpuStructure::upload(&context, &HostStructure::of_scene(packed))?;
         let scene = GpuScene::upload(&context, packed)?;
+        context.check_bindings(most_bindings(&structure, &scene))?;
         context.check()?;
         Ok(Self { context, structure, scene })
     }
@@ -57,19 +58,23 @@ impl Resident {
 #[derive(Debug)]
 struct Pace {
     slots: u32,
+    /// A power of two.
+    most: u32,
     /// The first wave's time is mostly that of the driver's compiler.
     warm: bool,
 }
 
 impl Pace {
-    fn new() -> Self {
-        Self { slots: FIRST_SLOTS, warm: false }
+    /// `slot_bytes`: what a slot takes in the buffer where it takes most.
+    fn new(context: &Context, slot_bytes: u64) -> Self {
+        let most = 1 << (context.binding_limit() / slot_bytes).clamp(1, MAX_SLOTS.into()).ilog2();
+        Self { slots: FIRST_SLOTS.min(most), most, warm: false }
     }
 
     fn record(&mut self, longest_s: f64) {
         if self.warm {
             let factor = (SUBMIT_TARGET_S / longest_s.max(1e-6)).clamp(0.5, 2.0);
-            self.slots = ((f64::from(self.slots) * factor) as u32).clamp(MIN_SLOTS, MAX_SLOTS);
+            self.slots = ((f64::from(self.slots) * factor) as u32).clamp(MIN_SLOTS.min(self.most), self.most);
         }
         self.warm = true;
     }
@@ -95,6 +100,7 @@ impl GpuRenderer {
         packed: Arc<PackedScene>,
         settings: &RenderSettings,
     ) -> Result<Self, DeviceError> {
+        let (wave_pace, layer_pace) = Self::paces(&context);
         let resident = Resident::upload(context, &packed)?;
         Ok(Self {
             packed,
@@ -104,9 +110,13 @@ impl GpuRenderer {
             resident,
             stages: None,
             layers: None,
-            wave_pace: Pace::new(),
-            layer_pace: Pace::new(),
+            wave_pace,
+            layer_pace,
         })
+    }
+
+    fn paces(context: &Context) -> (Pace, Pace) {
+        (Pace::new(context, WIDEST_SLOT_BYTES), Pace::new(context, size_of::<FirstHit>() as u64))
     }
 
     /// Runs `work`; when the device is lost, again on a new one.
@@ -129,9 +139,9 @@ impl GpuRenderer {
     fn revive(&mut self) -> Result<(), DeviceError> {
         self.stages = None;
         self.layers = None;
-        self.wave_pace = Pace::new();
-        self.layer_pace = Pace::new();
-        self.resident = Resident::upload(Arc::new(Context::open(self.adapter.as_deref())?), &self.packed)?;
+        let context = Arc::new(Context::open(self.adapter.as_deref())?);
+        (self.wave_pace, self.layer_pace) = Self::paces(&context);
+        self.resident = Resident::upload(context, &self.packed)?;
         Ok(())
     }
 
@@ -173,11 +183,14 @@ impl GpuRenderer {
                 seed: self.seed,
                 infinity: f32::INFINITY.to_bits(),
                 accumulated: done,
+                capacity: stages.slots,
                 ..Wave::default()
             };
             let run = self.resident.run();
             render_wave(stages, &run, wave, self.integrator)?;
-            self.wave_pace.record(run.longest_s.get());
+            let longest_s = run.longest_s.get();
+            tracing::trace!(slots = pixels * samples, longest_s, "wave");
+            self.wave_pace.record(longest_s);
             done += samples;
             let finished = f64::from(first) + f64::from(pixels) * f64::from(done) / f64::from(pass.samples);
             watch.progress(finished / pass.region.pixels() as f64);
@@ -207,7 +220,7 @@ fn render_wave(stages: &Stages, run: &Run<'_>, mut wave: Wave, integrator: Integ
     match integrator {
         Integrator::Aov => {
             wave.closest_number = NONE;
-            stages.bounce(run, &wave, 0)?;
+            stages.bounce(run, &wave)?;
         }
         Integrator::Ao { samples, distance } => {
             wave.ao_samples = samples.max(1);
@@ -232,14 +245,14 @@ fn render_wave(stages: &Stages, run: &Run<'_>, mut wave: Wave, integrator: Integ
 fn bounces(stages: &Stages, run: &Run<'_>, wave: &mut Wave, max_bounces: u32, last: u32) -> Result<(), DeviceError> {
     wave.max_bounces = max_bounces;
     for bounce in 0..=last {
-        let active = (bounce % 2) as usize;
-        if bounce > 0 && bounce % LIVENESS_INTERVAL == 0 && !stages.has_paths(run.context, active)? {
+        wave.active_queue = bounce % 2;
+        if bounce > 0 && bounce % LIVENESS_INTERVAL == 0 && !stages.has_paths(run.context, wave.active_queue)? {
             break;
         }
         wave.bounce = bounce;
         wave.closest_number = bounce.wrapping_mul(2);
         wave.shadow_number = wave.closest_number.wrapping_add(1);
-        stages.bounce(run, wave, active)?;
+        stages.bounce(run, wave)?;
     }
     Ok(())
 }

@@ -1,23 +1,30 @@
 //! The packed scene on the device: bind groups 1 (arrays) and 3 (uniforms) of the shading stages.
 //!
-//! Storage bindings: five arrays of structs, one or more for geometry and tables, one or more for texels. With the
-//! nine of `paths.wgsl` that makes [`super::REQUIRED_STORAGE_BUFFERS`] on adapters whose bindings hold each pool whole.
+//! Storage bindings: one for all arrays of structs, one or more for geometry and lists of numbers, one or more for
+//! texels. With the four of `paths.wgsl` a stage stays below [`super::REQUIRED_STORAGE_BUFFERS`] where each pool fits
+//! one binding.
 
 use bytemuck::{Pod, Zeroable};
 
-use super::context::Context;
+use super::context::{Context, whole};
 use super::pool::{Pool, PoolLayout};
 use crate::device::DeviceError;
 use crate::integrate::sampler::SOBOL;
 use crate::integrate::texture::srgb_to_linear;
 use crate::pack::{PackedCamera, PackedEnvironment, PackedScene};
 
-/// Mirror of `SceneInfo` in `shaders/shared/scene.wgsl`; offsets in words of the pool.
+/// Mirror of `SceneInfo` in `shaders/shared/scene.wgsl`: offsets of structs in 16-byte elements of the tables, the
+/// others in words of their pool.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub(super) struct SceneInfo {
     pub camera: PackedCamera,
     pub environment: PackedEnvironment,
+    pub meshes: u32,
+    pub instances: u32,
+    pub materials: u32,
+    pub textures: u32,
+    pub lights: u32,
     pub positions: u32,
     pub triangles: u32,
     pub slots: u32,
@@ -32,9 +39,9 @@ pub(super) struct SceneInfo {
     pub sobol: u32,
     pub environment_texels: u32,
     pub environment_cdf: u32,
-    pub _pad: [u32; 2],
+    pub _pad: u32,
 }
-const _: () = assert!(size_of::<SceneInfo>() == 160);
+const _: () = assert!(size_of::<SceneInfo>() == 176);
 
 /// Mirror of `Wave` in `shaders/shared/scene.wgsl`.
 #[repr(C)]
@@ -58,7 +65,8 @@ pub(super) struct Wave {
     pub infinity: u32,
     pub accumulated: u32,
     pub zero: u32,
-    pub _pad: [u32; 2],
+    pub capacity: u32,
+    pub active_queue: u32,
 }
 const _: () = assert!(size_of::<Wave>() == 80);
 
@@ -66,6 +74,8 @@ pub(super) struct GpuScene {
     pub pools: [PoolLayout; 2],
     pub layout: wgpu::BindGroupLayout,
     pub group: wgpu::BindGroup,
+    /// Storage buffers in the group.
+    pub bindings: usize,
     pub uniform_layout: wgpu::BindGroupLayout,
     pub uniforms: wgpu::BindGroup,
     pub wave: wgpu::Buffer,
@@ -75,11 +85,17 @@ pub(super) struct GpuScene {
 impl GpuScene {
     pub(super) fn upload(context: &Context, scene: &PackedScene) -> Result<Self, DeviceError> {
         let srgb: Vec<f32> = (0..256u16).map(|byte| srgb_to_linear(f32::from(byte) * (1.0 / 255.0))).collect();
-        let mut geometry = Parts::default();
-        let mut texels = Parts::default();
+        let mut tables = Parts::of_elements(16);
+        let mut geometry = Parts::of_elements(4);
+        let mut texels = Parts::of_elements(4);
         let info = SceneInfo {
             camera: scene.camera,
             environment: scene.environment,
+            meshes: tables.push(&scene.meshes)?,
+            instances: tables.push(&scene.instances)?,
+            materials: tables.push(&scene.materials)?,
+            textures: tables.push(&scene.textures)?,
+            lights: tables.push(&scene.lights)?,
             positions: geometry.push(&scene.positions)?,
             triangles: geometry.push(&scene.triangles)?,
             slots: geometry.push(&scene.slots)?,
@@ -98,53 +114,58 @@ impl GpuScene {
                 texels.push(&scene.environment_texels)?
             },
             environment_cdf: texels.push(&scene.environment_cdf)?,
-            _pad: [0; 2],
+            _pad: 0,
         };
-        let words = Pool::upload(context, "words", "u32", (1, 5), 4, &geometry.parts)?;
-        let texels = Pool::upload(context, "texels", "u32", (1, 9), 4, &texels.parts)?;
-        let arrays: [(&str, &[u8]); 5] = [
-            ("meshes", bytemuck::cast_slice(&scene.meshes)),
-            ("instances", bytemuck::cast_slice(&scene.instances)),
-            ("materials", bytemuck::cast_slice(&scene.materials)),
-            ("textures", bytemuck::cast_slice(&scene.textures)),
-            ("lights", bytemuck::cast_slice(&scene.lights)),
-        ];
-        let mut buffers = Vec::new();
-        let mut bytes = words.bytes + texels.bytes;
-        for (name, array) in arrays {
-            context.check_binding(name, array.len() as u64)?;
-            buffers.push(context.upload(name, array)?);
-            bytes += array.len() as u64;
-        }
-        let entries: Vec<_> = buffers
-            .iter()
-            .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .chain(words.entries())
-            .chain(texels.entries())
-            .collect();
+        context.check_binding("the scene's tables", tables.bytes())?;
+        let table_buffer = context.upload("tables", &tables.parts.concat())?;
+        let words = Pool::upload(context, "words", "u32", (1, 1), 4, &geometry.parts)?;
+        let texels = Pool::upload(context, "texels", "u32", (1, 5), 4, &texels.parts)?;
+        let bytes = tables.bytes() + words.bytes + texels.bytes;
+        let entries: Vec<_> =
+            std::iter::once(wgpu::BindGroupEntry { binding: 0, resource: table_buffer.as_entire_binding() })
+                .chain(words.entries())
+                .chain(texels.entries())
+                .collect();
+        let bindings = entries.len();
         let (layout, group) = context.bind_storage("scene", &entries, true);
         let info = context.uniform("scene info", bytemuck::bytes_of(&info))?;
         let wave = context.uniform("wave", bytemuck::bytes_of(&Wave::default()))?;
-        let (uniform_layout, uniforms) = context.bind_uniforms("uniforms", &[&info, &wave]);
-        Ok(Self { pools: [words.layout, texels.layout], layout, group, uniform_layout, uniforms, wave, bytes })
+        let (uniform_layout, uniforms) = context.bind_uniforms("uniforms", &[whole(&info), whole(&wave)]);
+        Ok(Self {
+            pools: [words.layout, texels.layout],
+            layout,
+            group,
+            bindings,
+            uniform_layout,
+            uniforms,
+            wave,
+            bytes,
+        })
     }
 }
 
-/// Arrays that follow each other in one pool of words.
-#[derive(Default)]
+/// Arrays that follow each other in one buffer, each at a multiple of the buffer's element.
 struct Parts<'a> {
     parts: Vec<&'a [u8]>,
-    words: u64,
+    element_bytes: u64,
+    elements: u64,
 }
 
 impl<'a> Parts<'a> {
-    /// The array's offset in words.
+    fn of_elements(element_bytes: u64) -> Self {
+        Self { parts: Vec::new(), element_bytes, elements: 0 }
+    }
+
+    fn bytes(&self) -> u64 {
+        self.elements * self.element_bytes
+    }
+
+    /// The array's offset in elements, of which each of its items is a multiple.
     fn push<T: Pod>(&mut self, array: &'a [T]) -> Result<u32, DeviceError> {
         let bytes: &[u8] = bytemuck::cast_slice(array);
-        let offset = u32::try_from(self.words)
-            .map_err(|_| DeviceError::TooLarge("geometry and tables exceed 16 GiB".to_owned()))?;
-        self.words += bytes.len() as u64 / 4;
+        let offset = u32::try_from(self.elements)
+            .map_err(|_| DeviceError::TooLarge("the scene's arrays exceed what 32 bits can number".to_owned()))?;
+        self.elements += bytes.len() as u64 / self.element_bytes;
         self.parts.push(bytes);
         Ok(offset)
     }

@@ -28,11 +28,16 @@ pub(super) struct Variant<'a> {
 /// # Panics
 /// When a file asks for an unknown part: a fault of this program that the tests would have found.
 pub(super) fn compose(stage: &'static str, variant: &Variant<'_>) -> Source {
+    compose_text(stage, lookup(STAGES, stage), variant)
+}
+
+/// Composes `text` as [`compose`] does a file.
+pub(super) fn compose_text(stage: &'static str, text: &str, variant: &Variant<'_>) -> Source {
     let mut wgsl = String::new();
     for (name, value) in &variant.constants {
         wgsl.push_str(&format!("const {name} = {value};\n"));
     }
-    append(&mut wgsl, lookup(STAGES, stage), variant, &mut Vec::new());
+    append(&mut wgsl, text, variant, &mut Vec::new());
     Source { stage, wgsl }
 }
 

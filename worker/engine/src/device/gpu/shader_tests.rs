@@ -2,10 +2,11 @@
 
 use wgpu::naga;
 
+use super::context::{Context, whole};
 use super::pool::PoolLayout;
 use super::scene::{SceneInfo, Wave};
-use super::shader::{STAGES, Variant, compose};
-use super::tracer::{GpuHit, GpuRay};
+use super::shader::{STAGES, Variant, compose, compose_text};
+use super::tracer::{GpuHit, GpuPath, GpuRay};
 use crate::integrate::aov::FirstHit;
 use crate::pack::{
     PackedCamera, PackedEnvironment, PackedInstance, PackedLight, PackedMaterial, PackedMesh, PackedTexture,
@@ -15,9 +16,9 @@ fn pools(chunks: u32) -> Vec<PoolLayout> {
     let pool = |name, element, group, binding| PoolLayout { name, element, group, binding, chunks, shift: 10 };
     vec![
         pool("nodes", "vec4<u32>", 0, 0),
-        pool("prims", "vec4<f32>", 0, 4),
-        pool("words", "u32", 1, 5),
-        pool("texels", "u32", 1, 9),
+        pool("prims", "vec4<u32>", 0, 4),
+        pool("words", "u32", 1, 1),
+        pool("texels", "u32", 1, 5),
     ]
 }
 
@@ -172,6 +173,11 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         SceneInfo,
         camera,
         environment,
+        meshes,
+        instances,
+        materials,
+        textures,
+        lights,
         positions,
         triangles,
         slots,
@@ -208,10 +214,13 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         ao_distance,
         infinity,
         accumulated,
-        zero
+        zero,
+        capacity,
+        active_queue
     );
     assert_layout!(&shade, "Ray", GpuRay, origin, t_min, direction, t_max);
     assert_layout!(&shade, "Hit", GpuHit, t, u, v, instance, primitive);
+    assert_layout!(&shade, "Path", GpuPath, state, radiance, contribution);
     let first_hit = module("first_hit", 1, false, &[]);
     assert_layout!(
         &first_hit,
@@ -228,4 +237,49 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         box_tests,
         primitive_tests
     );
+}
+
+/// The accessors of `scene.wgsl` take the tables' structs apart by hand: each must give back what Rust put in.
+#[test]
+fn structs_are_read_from_the_tables_as_rust_wrote_them() {
+    let context = Context::open(None).expect("tests need an adapter (mesa-vulkan-drivers has one)");
+    const COUNT: usize = 3;
+    let accessors: [(&str, &str, usize); 5] = [
+        ("PackedMesh", "mesh_at", size_of::<PackedMesh>()),
+        ("PackedInstance", "instance_at", size_of::<PackedInstance>()),
+        ("PackedMaterial", "material_at", size_of::<PackedMaterial>()),
+        ("PackedTexture", "texture_at", size_of::<PackedTexture>()),
+        ("PackedLight", "light_at", size_of::<PackedLight>()),
+    ];
+    for (name, accessor, bytes) in accessors {
+        let text = format!(
+            "//!include rays\n//!include scene\n\
+             @group(2) @binding(0) var<storage, read_write> found: array<{name}>;\n\
+             @compute @workgroup_size({COUNT})\n\
+             fn main(@builtin(global_invocation_id) id: vec3<u32>) {{ found[id.x] = {accessor}(id.x); }}\n"
+        );
+        let source = compose_text("table test", &text, &Variant { pools: &pools(1), ..Variant::default() });
+        // Distinct words that are ordinary floats too; one element stands in front of the structs.
+        let written: Vec<u32> = (0..(COUNT * bytes / 4) as u32).map(|i| 0x3f80_0000 + i).collect();
+        let table = context.upload("tables", bytemuck::cast_slice(&[&[0; 4], &written[..]].concat())).expect("fits");
+        let found = context.upload("found", &vec![0; COUNT * bytes]).expect("fits");
+        let info = SceneInfo { meshes: 1, instances: 1, materials: 1, textures: 1, lights: 1, ..SceneInfo::default() };
+        let info = context.uniform("scene info", bytemuck::bytes_of(&info)).expect("fits");
+        let entry = wgpu::BindGroupEntry { binding: 0, resource: table.as_entire_binding() };
+        let (table_layout, tables) = context.bind_storage("tables", &[entry], true);
+        let (found_layout, founds) = context.bind_buffers("found", &[whole(&found)]);
+        let (info_layout, infos) = context.bind_uniforms("info", &[whole(&info)]);
+        let pipeline = context.pipeline(&source, &[None, Some(&table_layout), Some(&found_layout), Some(&info_layout)]);
+        let mut encoder = context.encoder();
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(1, &tables, &[]);
+        pass.set_bind_group(2, &founds, &[]);
+        pass.set_bind_group(3, &infos, &[]);
+        pass.dispatch_workgroups(1, 1, 1);
+        drop(pass);
+        context.submit(encoder).expect("runs");
+        let read: Vec<u32> = context.read(&found, written.len()).expect("reads");
+        assert_eq!(read, written, "{accessor}");
+    }
 }

@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::context::Context;
+use super::context::{Context, whole};
 use super::shader::{Variant, compose};
 use super::tracer::{GpuRay, WORKGROUP};
 use crate::accel::line_space::ShaftGrid;
@@ -37,7 +37,7 @@ pub fn locate_shafts(context: &Context, grid: &ShaftGrid, rays: &[Ray]) -> Resul
     let grid = context.upload("shaft grid", bytemuck::cast_slice(&grid.to_words()))?;
     let ray_buffer = context.upload("rays", bytemuck::cast_slice(&gpu_rays))?;
     let located = context.upload("located shafts", bytemuck::cast_slice(&vec![LocatedShaft::default(); rays.len()]))?;
-    let (layout, group) = context.bind_buffers("locate shafts", &[&grid, &ray_buffer, &located]);
+    let (layout, group) = context.bind_buffers("locate shafts", &[whole(&grid), whole(&ray_buffer), whole(&located)]);
     let source = compose("locate_shafts", &Variant::default());
     let pipeline = context.pipeline(&source, &[None, None, Some(&layout)]);
     let mut encoder = context.encoder();

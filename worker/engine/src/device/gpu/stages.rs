@@ -7,16 +7,25 @@
 //! TRACE knows no materials (but for the alpha filter's variant), SHADE no structure. Queues of slot numbers lead from
 //! stage to stage; PREPARE turns their lengths into dispatch arguments on the device, so the host never waits for one.
 
-use super::context::Context;
+use super::context::{Context, whole};
 use super::scene::{GpuScene, Wave};
 use super::shader::{Source, Variant, compose};
 use super::structure::GpuStructure;
-use super::tracer::WORKGROUP;
+use super::tracer::{GpuHit, GpuPath, GpuRay, WORKGROUP};
 use crate::device::DeviceError;
 use crate::settings::Integrator;
 
-/// Bytes of all buffers for one slot: two rays, hit, path, two colours, three queue entries.
-const SLOT_BYTES: u64 = 32 + 20 + 32 + 16 + 32 + 16 + 3 * 4;
+/// Bytes of all buffers for one slot: two rays, hit, path, three queue entries.
+const SLOT_BYTES: u64 = 2 * RAY_BYTES + size_of::<GpuHit>() as u64 + size_of::<GpuPath>() as u64 + 3 * 4;
+const RAY_BYTES: u64 = size_of::<GpuRay>() as u64;
+/// Words of a queue beyond its slots (`paths.wgsl`): parts of a buffer that are bound for themselves start at multiples
+/// of 256 bytes, and so do both kinds of rays in theirs.
+const QUEUE_HEADER: u64 = 64;
+/// Fewest slots for which that holds.
+pub(super) const MIN_SLOTS: u32 = 256;
+/// What a slot takes in the buffer where it takes most: that of the rays, or of the paths.
+pub(super) const WIDEST_SLOT_BYTES: u64 = 2 * RAY_BYTES;
+const _: () = assert!(WIDEST_SLOT_BYTES >= size_of::<GpuPath>() as u64);
 /// Bytes of a pixel's sums.
 const SUM_BYTES: u64 = 32;
 
@@ -31,16 +40,15 @@ pub(super) struct Stages {
     pub slots: u32,
 }
 
-/// Bind group 2 of each stage. Pairs: the two queues of active paths swap roles after each bounce.
+/// Bind group 2 of each stage. Pairs: one for each queue of paths.
 struct Buffers {
-    paths: [wgpu::BindGroup; 2],
+    paths: wgpu::BindGroup,
     closest: [wgpu::BindGroup; 2],
     shadow: wgpu::BindGroup,
     prepare_active: [wgpu::BindGroup; 2],
     prepare_shadow: wgpu::BindGroup,
     accumulate: wgpu::BindGroup,
-    active_queues: [wgpu::Buffer; 2],
-    shadow_queue: wgpu::Buffer,
+    queues: wgpu::Buffer,
     active_arguments: wgpu::Buffer,
     shadow_arguments: wgpu::Buffer,
     active_total: wgpu::Buffer,
@@ -49,7 +57,7 @@ struct Buffers {
 }
 
 impl Stages {
-    /// Compiles the stages and reserves buffers for `slots` paths in flight.
+    /// Compiles the stages and reserves buffers for `slots` paths in flight, a power of two.
     pub(super) fn new(
         context: &Context,
         structure: &GpuStructure,
@@ -57,50 +65,42 @@ impl Stages {
         integrator: Integrator,
         slots: u32,
     ) -> Result<Self, DeviceError> {
+        let slots = slots.max(MIN_SLOTS);
         let storage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
         let buffer = |label: &str, stride: u64| context.buffer(label, u64::from(slots) * stride, storage);
-        let queue = |label: &str| context.buffer(label, (u64::from(slots) + 1) * 4, storage);
         let arguments = |label: &str| context.buffer(label, 12, storage | wgpu::BufferUsages::INDIRECT);
-        let rays = buffer("rays", 32)?;
-        let hits = buffer("hits", 20)?;
-        let paths = buffer("paths", 32)?;
-        let radiance = buffer("radiance", 16)?;
-        let shadow_rays = buffer("shadow rays", 32)?;
-        let contributions = buffer("contributions", 16)?;
+        let rays = buffer("rays", 2 * RAY_BYTES)?;
+        let hits = buffer("hits", size_of::<GpuHit>() as u64)?;
+        let paths = buffer("paths", size_of::<GpuPath>() as u64)?;
         let sums = buffer("sums", SUM_BYTES)?;
-        let active_queues = [queue("active paths")?, queue("next paths")?];
-        let shadow_queue = queue("shadow rays queued")?;
+        let queues = context.buffer("queues", 3 * queue_bytes(slots), storage)?;
         let active_arguments = arguments("active arguments")?;
         let shadow_arguments = arguments("shadow arguments")?;
         let active_total = context.buffer("active total", 8, storage)?;
         let shadow_total = context.buffer("shadow total", 8, storage)?;
 
-        let mut layouts = Vec::new();
-        let mut bind = |label: &str, buffers: &[&wgpu::Buffer]| {
-            let (layout, group) = context.bind_buffers(label, buffers);
-            layouts.push(layout);
-            group
-        };
-        let mut path_group = |active: &wgpu::Buffer, next: &wgpu::Buffer| {
-            bind("paths", &[&rays, &hits, &paths, &radiance, &shadow_rays, &contributions, active, next, &shadow_queue])
-        };
-        let [q0, q1] = &active_queues;
-        let path_groups = [path_group(q0, q1), path_group(q1, q0)];
-        let closest = [bind("closest", &[&rays, &hits, q0]), bind("closest", &[&rays, &hits, q1])];
-        let shadow = bind("shadow", &[&shadow_rays, &contributions, &radiance, &shadow_queue]);
-        let prepare_active = [
-            bind("prepare", &[q0, &active_arguments, &active_total]),
-            bind("prepare", &[q1, &active_arguments, &active_total]),
-        ];
-        let prepare_shadow = bind("prepare", &[&shadow_queue, &shadow_arguments, &shadow_total]);
-        let accumulate = bind("accumulate", &[&radiance, &sums]);
-        let [path_layout, _, closest_layout, _, shadow_layout, prepare_layout, _, _, accumulate_layout] = &layouts[..]
-        else {
-            unreachable!("nine bind groups were made above")
-        };
+        let part = |buffer, offset, size| wgpu::BufferBinding { buffer, offset, size: wgpu::BufferSize::new(size) };
+        let ray_bytes = u64::from(slots) * RAY_BYTES;
+        let path_rays = part(&rays, 0, ray_bytes);
+        let shadow_rays = part(&rays, ray_bytes, ray_bytes);
+        let [q0, q1, shadow_queue] =
+            [0, 1, SHADOW_QUEUE].map(|queue| part(&queues, queue * queue_bytes(slots), queue_bytes(slots)));
+        let (path_layout, path_group) =
+            context.bind_buffers("paths", &[whole(&rays), whole(&hits), whole(&paths), whole(&queues)]);
+        let bind_closest = |queue| context.bind_buffers("closest", &[path_rays.clone(), whole(&hits), queue]);
+        let (closest_layout, closest0) = bind_closest(q0.clone());
+        let (_, closest1) = bind_closest(q1.clone());
+        let (shadow_layout, shadow) =
+            context.bind_buffers("shadow", &[shadow_rays, whole(&paths), shadow_queue.clone()]);
+        let bind_prepare =
+            |queue, arguments, total| context.bind_buffers("prepare", &[queue, whole(arguments), whole(total)]);
+        let (prepare_layout, prepare0) = bind_prepare(q0, &active_arguments, &active_total);
+        let (_, prepare1) = bind_prepare(q1, &active_arguments, &active_total);
+        let (_, prepare_shadow) = bind_prepare(shadow_queue, &shadow_arguments, &shadow_total);
+        let (accumulate_layout, accumulate) = context.bind_buffers("accumulate", &[whole(&paths), whole(&sums)]);
 
         let shading = Variant { pools: &scene.pools, ..Variant::default() };
-        let shaded = [None, Some(&scene.layout), Some(path_layout), Some(&scene.uniform_layout)];
+        let shaded = [None, Some(&scene.layout), Some(&path_layout), Some(&scene.uniform_layout)];
         let shade = match integrator {
             Integrator::Aov => "shade_normal",
             Integrator::Ao { .. } => "shade_ao",
@@ -115,29 +115,28 @@ impl Stages {
         };
         let stages = Self {
             generate: context.pipeline(&compose("generate", &shading), &shaded),
-            trace_closest: trace("trace_closest", false, closest_layout),
+            trace_closest: trace("trace_closest", false, &closest_layout),
             shade: context.pipeline(&compose(shade, &shading), &shaded),
             prepare: context
-                .pipeline(&compose("prepare", &Variant::default()), &[None, None, Some(prepare_layout), None]),
-            trace_shadow: trace("trace_shadow", true, shadow_layout),
+                .pipeline(&compose("prepare", &Variant::default()), &[None, None, Some(&prepare_layout), None]),
+            trace_shadow: trace("trace_shadow", true, &shadow_layout),
             accumulate: context.pipeline(
                 &compose("accumulate", &shading),
-                &[None, Some(&scene.layout), Some(accumulate_layout), Some(&scene.uniform_layout)],
+                &[None, Some(&scene.layout), Some(&accumulate_layout), Some(&scene.uniform_layout)],
             ),
             buffers: Buffers {
-                paths: path_groups,
-                closest,
+                paths: path_group,
+                closest: [closest0, closest1],
                 shadow,
-                prepare_active,
+                prepare_active: [prepare0, prepare1],
                 prepare_shadow,
                 accumulate,
-                shadow_queue,
+                queues,
                 active_arguments,
                 shadow_arguments,
                 active_total,
                 shadow_total,
                 sums,
-                active_queues,
             },
             slots,
         };
@@ -145,37 +144,37 @@ impl Stages {
         Ok(stages)
     }
 
-    /// Starts the paths of `wave` in queue 0.
+    /// Starts the paths of `wave` in the active queue.
     pub(super) fn generate(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
         run.submit(wave, |encoder| {
             let mut pass = run.pass(encoder);
             pass.set_pipeline(&self.generate);
-            pass.set_bind_group(2, &self.buffers.paths[0], &[]);
+            pass.set_bind_group(2, &self.buffers.paths, &[]);
             pass.dispatch_workgroups((wave.pixels * wave.samples).div_ceil(WORKGROUP), 1, 1);
         })
     }
 
-    /// Traces and shades the paths of queue `active`, and leaves the survivors in the other one.
-    pub(super) fn bounce(&self, run: &Run<'_>, wave: &Wave, active: usize) -> Result<(), DeviceError> {
+    /// Traces and shades the paths of the active queue, and leaves the survivors in the other one.
+    pub(super) fn bounce(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
         run.submit(wave, |encoder| {
-            encoder.clear_buffer(&self.buffers.active_queues[1 - active], 0, Some(4));
-            encoder.clear_buffer(&self.buffers.shadow_queue, 0, Some(4));
+            self.empty_queue(encoder, 1 - u64::from(wave.active_queue));
+            self.empty_queue(encoder, SHADOW_QUEUE);
             let mut pass = run.pass(encoder);
-            self.closest(&mut pass, active);
-            self.shade_and_connect(&mut pass, active);
+            self.closest(&mut pass, wave.active_queue);
+            self.shade_and_connect(&mut pass);
         })
     }
 
-    /// Traces the paths of queue 0, to be shaded any number of times by [`Self::shade`].
+    /// Traces the paths of the active queue, to be shaded any number of times by [`Self::shade`].
     pub(super) fn trace(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
-        run.submit(wave, |encoder| self.closest(&mut run.pass(encoder), 0))
+        run.submit(wave, |encoder| self.closest(&mut run.pass(encoder), wave.active_queue))
     }
 
-    /// Shades the hits of queue 0 and traces the shadow rays that come of it.
+    /// Shades the hits of the active queue and traces the shadow rays that come of it.
     pub(super) fn shade(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
         run.submit(wave, |encoder| {
-            encoder.clear_buffer(&self.buffers.shadow_queue, 0, Some(4));
-            self.shade_and_connect(&mut run.pass(encoder), 0);
+            self.empty_queue(encoder, SHADOW_QUEUE);
+            self.shade_and_connect(&mut run.pass(encoder));
         })
     }
 
@@ -190,8 +189,9 @@ impl Stages {
     }
 
     /// Whether queue `active` has paths left.
-    pub(super) fn has_paths(&self, context: &Context, active: usize) -> Result<bool, DeviceError> {
-        Ok(context.read::<u32>(&self.buffers.active_queues[active], 1)?[0] > 0)
+    pub(super) fn has_paths(&self, context: &Context, active: u32) -> Result<bool, DeviceError> {
+        let start = u64::from(active) * queue_bytes(self.slots);
+        Ok(context.read_at::<u32>(&self.buffers.queues, start, 1)?[0] > 0)
     }
 
     /// The sums of `pixels` pixels.
@@ -215,7 +215,12 @@ impl Stages {
         u64::from(self.slots) * (SLOT_BYTES + SUM_BYTES)
     }
 
-    fn closest(&self, pass: &mut wgpu::ComputePass<'_>, active: usize) {
+    fn empty_queue(&self, encoder: &mut wgpu::CommandEncoder, queue: u64) {
+        encoder.clear_buffer(&self.buffers.queues, queue * queue_bytes(self.slots), Some(4));
+    }
+
+    fn closest(&self, pass: &mut wgpu::ComputePass<'_>, active: u32) {
+        let active = active as usize;
         pass.set_pipeline(&self.prepare);
         pass.set_bind_group(2, &self.buffers.prepare_active[active], &[]);
         pass.dispatch_workgroups(1, 1, 1);
@@ -224,9 +229,9 @@ impl Stages {
         pass.dispatch_workgroups_indirect(&self.buffers.active_arguments, 0);
     }
 
-    fn shade_and_connect(&self, pass: &mut wgpu::ComputePass<'_>, active: usize) {
+    fn shade_and_connect(&self, pass: &mut wgpu::ComputePass<'_>) {
         pass.set_pipeline(&self.shade);
-        pass.set_bind_group(2, &self.buffers.paths[active], &[]);
+        pass.set_bind_group(2, &self.buffers.paths, &[]);
         pass.dispatch_workgroups_indirect(&self.buffers.active_arguments, 0);
         pass.set_pipeline(&self.prepare);
         pass.set_bind_group(2, &self.buffers.prepare_shadow, &[]);
@@ -235,6 +240,13 @@ impl Stages {
         pass.set_bind_group(2, &self.buffers.shadow, &[]);
         pass.dispatch_workgroups_indirect(&self.buffers.shadow_arguments, 0);
     }
+}
+
+/// Number of the queue of shadow rays, as in `paths.wgsl`.
+const SHADOW_QUEUE: u64 = 2;
+
+fn queue_bytes(slots: u32) -> u64 {
+    4 * (u64::from(slots) + QUEUE_HEADER)
 }
 
 /// What every submit binds, and how long the longest took.
@@ -268,6 +280,15 @@ impl Run<'_> {
         pass.set_bind_group(3, &self.scene.uniforms, &[]);
         pass
     }
+}
+
+/// Storage buffers of the stage that binds most of them: SHADE with the scene, TRACE with the structure and for the
+/// alpha filter the scene, or the first-hit layers with both.
+pub(super) fn most_bindings(structure: &GpuStructure, scene: &GpuScene) -> usize {
+    let shade = 4 + scene.bindings;
+    let trace = 3 + structure.bindings + if structure.filtered { scene.bindings } else { 0 };
+    let first_hit = 1 + structure.bindings + scene.bindings;
+    shade.max(trace).max(first_hit)
 }
 
 /// Composes a tracing stage for a scene. Only a scene with alpha pays for the filter, only one with spheres for their

@@ -52,16 +52,16 @@ impl<'a> MeshView<'a> {
     }
 
     /// The kernel's record: three corners with the number and the kind, or centre and radius.
-    fn record(&self, primitive: u32) -> [[f32; 4]; 3] {
-        let number = f32::from_bits(primitive);
+    fn record(&self, primitive: u32) -> [[u32; 4]; 3] {
+        let element = |[x, y, z]: [f32; 3], word: u32| [x.to_bits(), y.to_bits(), z.to_bits(), word];
         match (primitive as usize).checked_sub(self.triangles.len()) {
             None => {
                 let [a, b, c] = self.corners(primitive as usize);
-                [[a[0], a[1], a[2], number], [b[0], b[1], b[2], 0.0], [c[0], c[1], c[2], 0.0]]
+                [element(a, primitive), element(b, 0), element(c, 0)]
             }
             Some(sphere) => {
                 let [x, y, z, radius] = self.spheres[sphere];
-                [[x, y, z, number], [radius, 0.0, 0.0, f32::from_bits(PRIMITIVE_SPHERE)], [0.0; 4]]
+                [element([x, y, z], primitive), element([radius, 0.0, 0.0], PRIMITIVE_SPHERE), [0; 4]]
             }
         }
     }
@@ -106,8 +106,9 @@ impl PlacementView {
 /// Host arrays, ready for upload.
 pub struct HostStructure {
     nodes: Vec<u32>,
-    prims: Vec<[f32; 4]>,
-    placements: Vec<[u32; 4]>,
+    /// Four elements a placement, in the top level's leaf order, then from a multiple of three on three elements a
+    /// primitive.
+    prims: Vec<[u32; 4]>,
     /// Stack entries that the kernel needs.
     pub stack_size: u32,
     pub spheres: bool,
@@ -118,7 +119,7 @@ pub struct HostStructure {
 impl HostStructure {
     /// The compressed wide trees that `traverse.wgsl` walks.
     pub fn wide(top: &Bvh2, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
-        let mut host = Self::empty(meshes);
+        let mut host = Self::empty(meshes, placements.len());
         let top_bounds = leaf_bounds(top, placements.len());
         let top_tree = WideTree::from_bvh2(top, &|instance| top_bounds[instance as usize]);
         host.push_tree(&top_tree, 0);
@@ -134,7 +135,7 @@ impl HostStructure {
             host.push_tree(&tree, (host.prims.len() / 3) as u32);
             host.prims.extend(tree.leaves.iter().flat_map(|&primitive| mesh.record(primitive)));
         }
-        host.push_placements(&top_tree.leaves, placements, &roots);
+        host.set_placements(&top_tree.leaves, placements, &roots);
         host.stack_size = top_tree.depth + deepest + 2;
         host
     }
@@ -153,7 +154,7 @@ impl HostStructure {
 
     /// The plain binary trees of the benchmark's base kernel. Leaves of the top level must hold one instance each.
     pub fn baseline(top: &Bvh2, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
-        let mut host = Self::empty(meshes);
+        let mut host = Self::empty(meshes, placements.len());
         host.push_binary(top, 0);
         let mut roots = Vec::with_capacity(meshes.len());
         for mesh in meshes {
@@ -161,16 +162,15 @@ impl HostStructure {
             host.push_binary(mesh.bvh, (host.prims.len() / 3) as u32);
             host.prims.extend(mesh.bvh.primitives.iter().flat_map(|&primitive| mesh.record(primitive)));
         }
-        host.push_placements(&top.primitives, placements, &roots);
+        host.set_placements(&top.primitives, placements, &roots);
         host.stack_size = binary_depth(top) + meshes.iter().map(|m| binary_depth(m.bvh)).max().unwrap_or(0) + 1;
         host
     }
 
-    fn empty(meshes: &[MeshView<'_>]) -> Self {
+    fn empty(meshes: &[MeshView<'_>], placements: usize) -> Self {
         Self {
             nodes: Vec::new(),
-            prims: Vec::new(),
-            placements: Vec::new(),
+            prims: vec![[0; 4]; (4 * placements).next_multiple_of(3)],
             stack_size: 0,
             spheres: meshes.iter().any(|m| !m.spheres.is_empty()),
             filtered: false,
@@ -196,13 +196,13 @@ impl HostStructure {
         }
     }
 
-    fn push_placements(&mut self, order: &[u32], placements: &[PlacementView], roots: &[u32]) {
-        for &instance in order {
+    fn set_placements(&mut self, order: &[u32], placements: &[PlacementView], roots: &[u32]) {
+        for (record, &instance) in self.prims.chunks_exact_mut(4).zip(order) {
             let placement = &placements[instance as usize];
             let flags = if placement.filtered { PLACEMENT_FILTERED } else { 0 };
             self.filtered |= placement.filtered;
-            self.placements.extend(placement.rows());
-            self.placements.push([roots[placement.mesh as usize], instance, flags, 0]);
+            record[..3].copy_from_slice(&placement.rows());
+            record[3] = [roots[placement.mesh as usize], instance, flags, 0];
         }
     }
 }
@@ -233,6 +233,8 @@ pub(super) struct GpuStructure {
     pub pools: [PoolLayout; 2],
     pub layout: wgpu::BindGroupLayout,
     pub group: wgpu::BindGroup,
+    /// Storage buffers in the group.
+    pub bindings: usize,
     pub stack_size: u32,
     pub spheres: bool,
     /// Some placement's hits go through the alpha filter.
@@ -255,20 +257,17 @@ impl GpuStructure {
 
     pub(super) fn upload(context: &Context, host: &HostStructure) -> Result<Self, DeviceError> {
         let nodes = Pool::upload(context, "nodes", "vec4<u32>", (0, 0), 16, &[bytemuck::cast_slice(&host.nodes)])?;
-        let prims = Pool::upload(context, "prims", "vec4<f32>", (0, 4), 16, &[bytemuck::cast_slice(&host.prims)])?;
-        let placement_bytes: &[u8] = bytemuck::cast_slice(&host.placements);
-        context.check_binding("instances", placement_bytes.len() as u64)?;
-        let placements = context.upload("placements", placement_bytes)?;
-        let mut entries: Vec<_> = nodes.entries().chain(prims.entries()).collect();
-        entries.push(wgpu::BindGroupEntry { binding: 8, resource: placements.as_entire_binding() });
+        let prims = Pool::upload(context, "prims", "vec4<u32>", (0, 4), 16, &[bytemuck::cast_slice(&host.prims)])?;
+        let entries: Vec<_> = nodes.entries().chain(prims.entries()).collect();
         let (layout, group) = context.bind_storage("structure", &entries, true);
         Ok(Self {
             layout,
             group,
+            bindings: entries.len(),
             stack_size: host.stack_size,
             spheres: host.spheres,
             filtered: host.filtered,
-            bytes: nodes.bytes + prims.bytes + placement_bytes.len() as u64,
+            bytes: nodes.bytes + prims.bytes,
             pools: [nodes.layout, prims.layout],
         })
     }

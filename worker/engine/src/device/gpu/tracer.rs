@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::context::Context;
+use super::context::{Context, whole};
 use super::shader::{Variant, compose};
 use super::structure::{GpuStructure, HostStructure};
 use crate::device::DeviceError;
@@ -46,12 +46,23 @@ impl GpuRay {
     pub(super) fn new(ray: &Ray) -> Self {
         Self {
             origin: ray.origin.into(),
-            t_min: ray.t_min,
+            // The kernel knows no negative one, -0 included.
+            t_min: if ray.t_min > 0.0 { ray.t_min } else { 0.0 },
             direction: ray.direction.into(),
             t_max: ray.t_max.min(f32::MAX),
         }
     }
 }
+
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(super) struct GpuPath {
+    /// Of use to the shaders alone.
+    pub state: [u32; 8],
+    pub radiance: [f32; 4],
+    pub contribution: [f32; 4],
+}
+const _: () = assert!(size_of::<GpuPath>() == 64);
 
 /// Traces ray batches on one structure.
 pub struct Tracer<'a> {
@@ -90,8 +101,8 @@ impl<'a> Tracer<'a> {
     pub fn occluded(&self, rays: &[Ray]) -> Result<Vec<bool>, DeviceError> {
         let batch = self.prepare(rays, true)?;
         self.run(&batch)?;
-        let radiance: Vec<[f32; 4]> = self.context.read(&batch.result, rays.len())?;
-        Ok(radiance.into_iter().map(|r| r[0] == 0.0).collect())
+        let paths: Vec<GpuPath> = self.context.read(&batch.result, rays.len())?;
+        Ok(paths.into_iter().map(|path| path.radiance[0] == 0.0).collect())
     }
 
     /// Uploads rays and compiles the kernel.
@@ -102,14 +113,14 @@ impl<'a> Tracer<'a> {
         let ray_buffer = context.upload("rays", bytemuck::cast_slice(&gpu_rays))?;
         let queue = context.upload("queue", bytemuck::cast_slice(&queue))?;
         let (stage, result, buffers) = if any_hit {
-            let ones = context.upload("contributions", bytemuck::cast_slice(&vec![[1f32; 4]; rays.len()]))?;
-            let radiance = context.upload("radiance", bytemuck::cast_slice(&vec![[0f32; 4]; rays.len()]))?;
-            ("trace_shadow", radiance.clone(), vec![ray_buffer, ones, radiance, queue])
+            let path = GpuPath { contribution: [1.0; 4], ..GpuPath::default() };
+            let paths = context.upload("paths", bytemuck::cast_slice(&vec![path; rays.len()]))?;
+            ("trace_shadow", paths.clone(), vec![ray_buffer, paths, queue])
         } else {
             let hits = context.upload("hits", bytemuck::cast_slice(&vec![GpuHit::default(); rays.len()]))?;
             ("trace_closest", hits.clone(), vec![ray_buffer, hits, queue])
         };
-        let (layout, group) = context.bind_buffers("rays", &buffers.iter().collect::<Vec<_>>());
+        let (layout, group) = context.bind_buffers("rays", &buffers.iter().map(whole).collect::<Vec<_>>());
         let replacements: &[_] = match self.kernel {
             Kernel::Wide => &[],
             Kernel::Baseline => &[("traverse", "traverse_baseline")],
