@@ -366,6 +366,9 @@ pub struct Metrics {
     /// What Line Spaces were asked and answered; null in a job without.
     #[serde(default)]
     pub line_space: Option<LineSpaceUse>,
+    /// On a GPU, the longest that it was held at a stretch, once its kernels were compiled; 0 on a CPU.
+    #[serde(default)]
+    pub longest_submit_s: f64,
     /// Highest resident memory of the worker process.
     pub peak_bytes: u64,
     pub device: String,
@@ -402,6 +405,7 @@ impl Metrics {
             (Some(a), Some(b)) => Some(a.joined(b)),
             (a, b) => a.or(b),
         };
+        self.longest_submit_s = self.longest_submit_s.max(other.longest_submit_s);
         self.peak_bytes = self.peak_bytes.max(other.peak_bytes);
         join_distinct(&mut self.device, &other.device);
         join_distinct(&mut self.device_kind, &other.device_kind);

@@ -130,11 +130,10 @@ fn sample_visible_normal(alpha: f32, wo: vec3<f32>, u: f32, v: f32) -> vec3<f32>
     }
     let t2 = cross(view, t1);
     let r = sqrt(u);
-    let phi = TWO_PI * v;
-    let p1 = r * cos(phi);
+    let p = r * unit_circle(TWO_PI * v);
     let s = 0.5 * (1.0 + view.z);
-    let p2 = (1.0 - s) * sqrt(max(1.0 - p1 * p1, 0.0)) + s * (r * sin(phi));
-    let n = t1 * p1 + t2 * p2 + view * sqrt(max(1.0 - p1 * p1 - p2 * p2, 0.0));
+    let p2 = (1.0 - s) * sqrt(max(1.0 - p.x * p.x, 0.0)) + s * p.y;
+    let n = t1 * p.x + t2 * p2 + view * sqrt(max(1.0 - p.x * p.x - p2 * p2, 0.0));
     let h = vec3<f32>(alpha * n.x, alpha * n.y, max(n.z, 1e-6));
     return h * (1.0 / sqrt(dot(h, h)));
 }

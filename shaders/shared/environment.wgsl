@@ -8,14 +8,13 @@ fn direction_to_uv(d: vec3<f32>) -> vec2<f32> {
 }
 
 fn uv_to_direction(u: f32, v: f32) -> vec3<f32> {
-    let theta = PI * v;
-    let phi = TWO_PI * (u - 0.5);
-    let sine = sin(theta);
-    let x = sine * sin(phi);
-    let z = -sine * cos(phi);
+    let theta = unit_circle(PI * v);
+    let phi = unit_circle(TWO_PI * (u - 0.5));
+    let x = theta.y * phi.y;
+    let z = -theta.y * phi.x;
     return vec3<f32>(
         scene.environment.rotation_cos * x + scene.environment.rotation_sin * z,
-        cos(theta),
+        theta.x,
         scene.environment.rotation_cos * z - scene.environment.rotation_sin * x,
     );
 }

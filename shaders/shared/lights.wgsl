@@ -143,9 +143,8 @@ fn sample_sphere(light: PackedLight, position: vec3<f32>, u: f32, v: f32) -> Lig
         let lost = u * cone;
         let sine2 = lost * (2.0 - lost);
         let along = distance * (1.0 - lost) - sqrt(max(sphere.w * sphere.w - distance * distance * sine2, 0.0));
-        let phi = TWO_PI * v;
-        let sine = sqrt(max(sine2, 0.0));
-        let direction = to_world(basis(axis), axis, vec3<f32>(sine * cos(phi), sine * sin(phi), 1.0 - lost));
+        let across = sqrt(max(sine2, 0.0)) * unit_circle(TWO_PI * v);
+        let direction = to_world(basis(axis), axis, vec3<f32>(across, 1.0 - lost));
         let outward = position + direction * along - sphere.xyz;
         n = normalize_or(transform_vector(instance_at(light.instance).world_to_object, outward), n);
     }

@@ -102,15 +102,13 @@ fn power_heuristic(a: f32, b: f32) -> f32 {
 
 fn cosine_hemisphere(u: f32, v: f32) -> vec3<f32> {
     let r = sqrt(u);
-    let phi = TWO_PI * v;
-    return vec3<f32>(r * cos(phi), r * sin(phi), sqrt(max(1.0 - u, 0.0)));
+    return vec3<f32>(r * unit_circle(TWO_PI * v), sqrt(max(1.0 - u, 0.0)));
 }
 
 fn uniform_sphere(u: f32, v: f32) -> vec3<f32> {
     let z = 1.0 - 2.0 * u;
     let r = sqrt(max(1.0 - z * z, 0.0));
-    let phi = TWO_PI * v;
-    return vec3<f32>(r * cos(phi), r * sin(phi), z);
+    return vec3<f32>(r * unit_circle(TWO_PI * v), z);
 }
 
 fn uniform_triangle(u: f32, v: f32) -> vec2<f32> {
@@ -139,6 +137,20 @@ fn precise_atan2(y: f32, x: f32) -> f32 {
     a = select(a, 1.5707963267949 - a, ay > ax);
     a = select(a, PI - a, x < 0.0);
     return select(a, -a, y < 0.0);
+}
+
+// Cosine and sine of an angle in -2 pi to 2 pi to some units in the last place (Cephes, cosf and sinf); built-ins may be
+// off by 2^-11, and a point on a sphere would lie far from its surface.
+fn unit_circle(angle: f32) -> vec2<f32> {
+    let quarters = round(angle * (2.0 * INV_PI));
+    // A quarter in three parts, so that products with the first two are exact.
+    let x = ((angle - quarters * 1.5703125) - quarters * 4.837512969970703125e-4) - quarters * 7.54978995489188216e-8;
+    let z = x * x;
+    let c = ((2.443315711809948e-5 * z - 1.388731625493765e-3) * z + 4.166664568298827e-2) * z * z - 0.5 * z + 1.0;
+    let s = ((-1.9515295891e-4 * z + 8.3321608736e-3) * z - 1.6666654611e-1) * z * x + x;
+    let turn = bitcast<u32>(i32(quarters));
+    let quarter = select(vec2<f32>(c, s), vec2<f32>(-s, c), (turn & 1u) != 0u);
+    return select(quarter, -quarter, (turn & 2u) != 0u);
 }
 
 fn precise_acos(x: f32) -> f32 {

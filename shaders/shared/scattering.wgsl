@@ -5,7 +5,7 @@
 //!include environment
 //!include lights
 
-const SHADOW_ERROR = LOCAL_ERROR;
+const SHADOW_ERROR = 4.0 * LOCAL_ERROR;
 
 // The segment from a surface to a light: all of it to a punctual light, short of an area light by a bound on rounding
 // errors.

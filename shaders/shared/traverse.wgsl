@@ -37,9 +37,18 @@ fn byte_lanes(word: u32) -> vec4<u32> {
     return vec4<u32>(word & 0xffu, (word >> 8u) & 0xffu, (word >> 16u) & 0xffu, word >> 24u);
 }
 
-// Quantised planes of four children. Signed, since that is the cheaper conversion on CPUs.
+// Quantised planes of four children, each times the inverse of its lane of PLACES, which spares shifts. Signed, since that
+// is the cheaper conversion on CPUs.
 fn planes(word: u32) -> vec4<f32> {
-    return vec4<f32>(bitcast<vec4<i32>>(byte_lanes(word)));
+    let bytes = vec4<u32>(word & 0xffu, word & 0xff00u, word & 0xff0000u, word >> 24u);
+    return vec4<f32>(bitcast<vec4<i32>>(bytes));
+}
+
+const PLACES = vec4<f32>(1.0, 1.0 / 256.0, 1.0 / 65536.0, 1.0);
+
+// Number of the highest bit of a number below 2^24: the exponent of the float. On CPUs far cheaper than firstLeadingBit.
+fn highest_bit(bits: u32) -> u32 {
+    return (bitcast<u32>(f32(bitcast<i32>(bits))) >> 23u) - 127u;
 }
 
 // Distances by their bits, which order floats as long as those that count are not negative: `first` is not below t_min,
@@ -53,12 +62,15 @@ fn hit_bits(
     meta_word: u32, near_x: u32, near_y: u32, near_z: u32, far_x: u32, far_y: u32, far_z: u32,
     scale: vec3<f32>, enter: vec3<f32>, leave: vec3<f32>, t_min: f32, t_max: f32, octant4: u32,
 ) -> u32 {
-    let enter_x = planes(near_x) * scale.x + enter.x;
-    let enter_y = planes(near_y) * scale.y + enter.y;
-    let enter_z = planes(near_z) * scale.z + enter.z;
-    let leave_x = planes(far_x) * scale.x + leave.x;
-    let leave_y = planes(far_y) * scale.y + leave.y;
-    let leave_z = planes(far_z) * scale.z + leave.z;
+    let scale_x = PLACES * scale.x;
+    let scale_y = PLACES * scale.y;
+    let scale_z = PLACES * scale.z;
+    let enter_x = planes(near_x) * scale_x + enter.x;
+    let enter_y = planes(near_y) * scale_y + enter.y;
+    let enter_z = planes(near_z) * scale_z + enter.z;
+    let leave_x = planes(far_x) * scale_x + leave.x;
+    let leave_y = planes(far_y) * scale_y + leave.y;
+    let leave_z = planes(far_z) * scale_z + leave.z;
     let first = max(max(ordered(enter_x), ordered(enter_y)), max(ordered(enter_z), vec4<i32>(bitcast<i32>(t_min))));
     let last = min(min(ordered(leave_x), ordered(leave_y)), min(ordered(leave_z), vec4<i32>(bitcast<i32>(t_max))));
     let is_inner = (meta_word & (meta_word << 1u)) & 0x10101010u;
@@ -143,9 +155,9 @@ fn trace(world: Ray) -> Trace {
     var leaf = vec2<u32>(0u);
     loop {
         if inner.y > 0x00ffffffu {
-            let bit = firstLeadingBit(inner.y);
-            inner.y &= ~(1u << bit);
-            let slot = (bit - 24u) ^ octant;
+            let bit = highest_bit(inner.y >> 24u);
+            inner.y &= ~(0x01000000u << bit);
+            let slot = bit ^ octant;
             let node = inner.x + countOneBits(inner.y & 0xffu & ((1u << slot) - 1u));
             if inner.y > 0x00ffffffu {
                 stack[sp] = inner;
@@ -162,9 +174,9 @@ fn trace(world: Ray) -> Trace {
             inner = vec2<u32>(0u);
         }
         while leaf.y != 0u {
-            let bit = firstTrailingBit(leaf.y);
-            leaf.y &= leaf.y - 1u;
-            let entry = leaf.x + bit;
+            let bit = leaf.y & (~leaf.y + 1u);
+            leaf.y ^= bit;
+            let entry = leaf.x + highest_bit(bit);
             if floor_sp == NONE {
                 // An instance: remember what is left of the top level, and go on at the mesh's root.
                 if inner.y > 0x00ffffffu {

@@ -96,8 +96,12 @@ impl Observer for Recorder {
 }
 
 fn executor() -> Executor {
+    executor_on(DeviceChoice::Cpu)
+}
+
+fn executor_on(device: DeviceChoice) -> Executor {
     let structures = StructureCache::new(1 << 30, None);
-    Executor::new(structures, Devices::new(DeviceChoice::Cpu), Budgets { scenes_bytes: 1 << 30 }, Limits::default())
+    Executor::new(structures, Devices::new(device), Budgets { scenes_bytes: 1 << 30 }, Limits::default())
 }
 
 fn small() -> RenderSettings {
@@ -183,6 +187,24 @@ fn the_second_task_on_a_scene_imports_and_builds_nothing_and_gives_the_same_byte
     let moved = RenderSettings { width: 20, ..small() };
     let third = run(&executor, &TaskWork::Frame, &moved, &inputs);
     assert!(third.metrics.cache.iter().all(|report| report.source == CacheSource::Memory));
+}
+
+/// The first task on a GPU gives each structure a layout of its own, which later ones find with it.
+#[test]
+fn the_layout_for_a_gpu_counts_in_the_cache_and_is_found_there() {
+    let (executor, inputs) = (executor_on(DeviceChoice::Auto), generated("cornell-box"));
+    let on = |device| RenderSettings { device, ..small() };
+    let held = || executor.structures().holdings(0).1.memory_bytes;
+    let cpu = run(&executor, &TaskWork::Frame, &on(DeviceChoice::Cpu), &inputs).metrics;
+    let held_for_cpu = held();
+    let gpu = run(&executor, &TaskWork::Frame, &on(DeviceChoice::Gpu), &inputs).metrics;
+    assert_eq!((cpu.device_kind.as_str(), gpu.device_kind.as_str()), ("cpu", "gpu"));
+    assert!(gpu.structure_bytes > cpu.structure_bytes);
+    assert_eq!(held() - held_for_cpu, gpu.structure_bytes - cpu.structure_bytes);
+    let moved = RenderSettings { width: 20, ..on(DeviceChoice::Gpu) };
+    let again = run(&executor, &TaskWork::Frame, &moved, &inputs).metrics;
+    assert!(again.cache.iter().all(|report| report.source == CacheSource::Memory));
+    assert_eq!(again.structure_bytes, gpu.structure_bytes);
 }
 
 #[test]

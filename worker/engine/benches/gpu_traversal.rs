@@ -31,17 +31,13 @@ fn main() {
     let params = BuildParams { quality, spatial_splits: false };
     let structure = MeshStructure::build(&mesh, &params, &AtomicBool::new(false)).expect("builds");
     let placement = Placement { mesh: 0, transform: Affine3A::IDENTITY, filtered: false };
-    let scene = SceneAccel::build(vec![Arc::new(structure)], &[placement]);
+    let structure = Arc::new(structure);
+    let scene = SceneAccel::build(vec![Arc::clone(&structure)], &[placement]);
     let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
-    let view = MeshView {
-        bvh: scene.structures()[0].bvh2().expect("a BVH"),
-        positions: &positions,
-        triangles: &mesh.triangles,
-        spheres: &[],
-    };
+    let view = MeshView { structure: &structure, positions: &positions, triangles: &mesh.triangles, spheres: &[] };
     let placements = [PlacementView::new(0, Affine3A::IDENTITY, false)];
     let base = HostStructure::baseline(scene.top(), &[view], &placements);
-    let (upload_s, wide) = timed(|| HostStructure::wide(scene.top(), &[view], &placements));
+    let (upload_s, wide) = timed(|| HostStructure::wide(&scene, &[view], &placements));
     let base = Tracer::new(&context, &base, Kernel::Baseline).expect("fits");
     let wide = Tracer::new(&context, &wide, Kernel::Wide).expect("fits");
 

@@ -46,6 +46,19 @@ impl<K: Eq + Hash + Clone, V: Clone> Lru<K, V> {
         self.clock += 1;
         self.used_bytes += bytes;
         self.entries.insert(key, Entry { value, bytes, used_at: self.clock });
+        self.evict();
+    }
+
+    /// Counts the values' bytes again, where values grow after they were inserted.
+    pub fn weigh(&mut self, bytes: impl Fn(&V) -> u64) {
+        for entry in self.entries.values_mut() {
+            entry.bytes = bytes(&entry.value);
+        }
+        self.used_bytes = self.entries.values().map(|entry| entry.bytes).sum();
+        self.evict();
+    }
+
+    fn evict(&mut self) {
         while self.used_bytes > self.budget_bytes {
             let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.used_at).map(|(key, _)| key.clone());
             match oldest {
@@ -87,6 +100,15 @@ mod tests {
         lru.insert("c", 3, 4);
         assert_eq!((lru.get("a"), lru.get("b"), lru.get("c")), (Some(1), None, Some(3)));
         assert_eq!(lru.used_bytes(), 8);
+    }
+
+    #[test]
+    fn values_that_grew_are_counted_as_they_are() {
+        let mut lru = Lru::new(10);
+        lru.insert("a", 1, 1);
+        lru.insert("b", 5, 5);
+        lru.weigh(|&value| 2 * value);
+        assert_eq!((lru.get("a"), lru.get("b"), lru.used_bytes()), (None, Some(5), 10));
     }
 
     #[test]

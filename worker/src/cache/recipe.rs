@@ -47,6 +47,13 @@ pub(super) enum WeakKept {
 }
 
 impl Kept {
+    pub(super) fn bytes(&self) -> u64 {
+        match self {
+            Self::Structure(structure) => Cached::bytes(structure),
+            Self::LineSpace(space) => Cached::bytes(space),
+        }
+    }
+
     pub(super) fn downgrade(&self) -> WeakKept {
         match self {
             Self::Structure(structure) => WeakKept::Structure(structure.downgrade()),

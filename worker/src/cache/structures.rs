@@ -93,6 +93,11 @@ impl StructureCache {
         Ok(Obtained { structure, report, warnings })
     }
 
+    /// Counts again what the structures in memory take: a GPU adds its layout to those that it is given.
+    pub fn weigh(&self) {
+        self.memory().kept.weigh(Kept::bytes);
+    }
+
     /// What is at hand: hashes of at most `limit` meshes with structures, and how much that is. Lists the folder once.
     pub fn holdings(&self, limit: usize) -> (Vec<String>, CacheStatus) {
         let listed = self.disk.as_ref().and_then(|disk| disk.names().ok()).unwrap_or_default();

@@ -99,6 +99,7 @@ impl Watch for PassWatch<'_> {
 }
 
 fn add(metrics: &mut Metrics, stats: &PassStats) {
+    metrics.longest_submit_s = metrics.longest_submit_s.max(stats.longest_submit_s);
     let rays = &stats.rays;
     let sum = &mut metrics.rays;
     *sum = RayCounts {

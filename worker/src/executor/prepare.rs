@@ -63,6 +63,8 @@ impl Executor {
         let started = Instant::now();
         let (choice, on_device) = self.on_device(task, choice, &packed, &resolved, metrics)?;
         metrics.prepare_s += started.elapsed().as_secs_f64();
+        self.structures.weigh();
+        count_structures(metrics, &packed);
         metrics.device = on_device.info.name.clone();
         metrics.device_kind = on_device.info.kind.to_owned();
         if !on_device.info.driver.is_empty() {
@@ -121,7 +123,6 @@ impl Executor {
                 .map(|last| (Arc::clone(&last.packed), last.structures.clone()))
         });
         if let Some((packed, structures)) = known {
-            count_structures(metrics, &packed);
             metrics.cache.extend(structures);
             return Ok(packed);
         }
@@ -157,7 +158,6 @@ impl Executor {
         let started = Instant::now();
         let packed = pack::pack(&with_overlays, resolved, accel).map_err(|e| TaskError::bad_input(e.to_string()))?;
         let packed = Arc::new(packed);
-        count_structures(metrics, &packed);
         metrics.prepare_s += started.elapsed().as_secs_f64();
         if let Some(key) = key {
             // Whoever finds it ready has every structure in memory.

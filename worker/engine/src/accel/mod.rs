@@ -1,13 +1,14 @@
 //! Spatial structures: built once per unique mesh, shared by every instance, job and worker.
 //!
-//! [`Structure`] is any of them over one mesh: a BVH ([`MeshStructure`]: a binary tree, from which every device makes its
-//! own layout, and the wide tree that the CPU walks), or a tree of cells ([`CellTree`]: [grid], [octree] or [N-tree](ntree)).
+//! [`Structure`] is any of them over one mesh: a BVH ([`MeshStructure`]: a binary tree, the wide tree that the CPU walks,
+//! and the compressed one that GPUs do), or a tree of cells ([`CellTree`]: [grid], [octree] or [N-tree](ntree)).
 //! [`SceneAccel`] is what rays are traced against: structures placed in the world under a top level, or one structure over
 //! all instances in world space ([flat]). Whatever the structure, the same ray has the same hits.
 
 mod build;
 pub(crate) mod bvh2;
 pub(crate) mod cells;
+pub(crate) mod compressed;
 mod flat;
 mod grid;
 pub mod line_space;
@@ -22,6 +23,7 @@ mod structure;
 mod two_level;
 pub(crate) mod wide;
 
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
@@ -34,6 +36,7 @@ pub use scene_accel::{HitFilter, Placement, SceneAccel, SurfaceStart};
 pub use structure::{Structure, StructureParams, WeakStructure};
 
 use crate::scene::{Aabb, Mesh, MeshHash};
+use compressed::CompressedBvh;
 use wide::{Role, WideBvh};
 
 /// How a BVH is to be built. [`Self::canonical`] is its part of the cache key.
@@ -54,7 +57,7 @@ pub enum Quality {
 }
 
 /// Changes whenever a builder or a stored layout changes: old cache entries are then simply not found.
-pub const BUILDER_VERSION: u32 = 2;
+pub const BUILDER_VERSION: u32 = 3;
 
 /// The key of a structure in every cache.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -94,14 +97,35 @@ impl BuildParams {
     }
 }
 
+/// What the nodes of a tree over a mesh are in the wide trees that are made from it.
+#[derive(Debug)]
+struct Roles {
+    /// In [`WideBvh`].
+    pub cpu: Vec<Role>,
+    /// In [`CompressedBvh`].
+    pub gpu: Vec<Role>,
+}
+
+impl Roles {
+    fn choose(bvh2: &Bvh2, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self, BuildError> {
+        let (cpu, gpu) = rayon::join(|| WideBvh::choose(bvh2, mesh, cancel), || CompressedBvh::choose(bvh2, cancel));
+        Ok(Self { cpu: cpu?, gpu: gpu? })
+    }
+
+    fn bytes(&self) -> usize {
+        self.cpu.len() + self.gpu.len()
+    }
+}
+
 /// The structure of one mesh. Immutable; share it in an [`std::sync::Arc`].
 #[derive(Debug)]
 pub struct MeshStructure {
     mesh: MeshHash,
     bvh2: Bvh2,
-    /// What the nodes of `bvh2` are in `wide`.
-    roles: Vec<Role>,
+    roles: Roles,
     wide: WideBvh,
+    /// Made when a GPU first asks.
+    compressed: OnceLock<CompressedBvh>,
 }
 
 impl MeshStructure {
@@ -110,9 +134,9 @@ impl MeshStructure {
     /// The mesh's indices must be in range. Primitives with a NaN or an infinity are left out.
     pub fn build(mesh: &Mesh, params: &BuildParams, cancel: &AtomicBool) -> Result<Self, BuildError> {
         let bvh2 = build::build(mesh, params, cancel)?;
-        let roles = WideBvh::choose(&bvh2, mesh, cancel)?;
-        let wide = WideBvh::over_mesh(&bvh2, &roles, mesh, cancel)?;
-        Ok(Self { mesh: mesh.hash, bvh2, roles, wide })
+        let roles = Roles::choose(&bvh2, mesh, cancel)?;
+        let wide = WideBvh::over_mesh(&bvh2, &roles.cpu, mesh, cancel)?;
+        Ok(Self { mesh: mesh.hash, bvh2, roles, wide, compressed: OnceLock::new() })
     }
 
     /// The mesh that the structure was built over.
@@ -125,9 +149,20 @@ impl MeshStructure {
         &self.bvh2
     }
 
-    /// Memory that the structure takes, in bytes.
+    /// The tree that GPUs walk, made at the first call. `bounds` gives the box of a primitive of the mesh.
+    pub(crate) fn compressed(&self, bounds: &(dyn Fn(u32) -> Aabb + Sync)) -> &CompressedBvh {
+        if let Some(known) = self.compressed.get() {
+            return known;
+        }
+        // Not within the lock: a thread that waits there for others may be given work that comes here again.
+        let made = CompressedBvh::new(&self.bvh2, &self.roles.gpu, bounds);
+        self.compressed.get_or_init(|| made)
+    }
+
+    /// Memory that the structure takes, in bytes; more once a GPU has walked it.
     pub fn bytes(&self) -> usize {
-        self.bvh2.bytes() + self.roles.len() + self.wide.bytes()
+        let compressed = self.compressed.get().map_or(0, CompressedBvh::bytes);
+        self.bvh2.bytes() + self.roles.bytes() + self.wide.bytes() + compressed
     }
 
     /// The stored form: header, checksum, little-endian arrays of the binary tree.
@@ -139,9 +174,12 @@ impl MeshStructure {
     /// before anything is made of it.
     pub fn decode(bytes: &[u8], mesh: &Mesh) -> Result<Self, CorruptStructure> {
         let (bvh2, roles) = store::decode(bytes, mesh).map_err(CorruptStructure)?;
-        let wide = WideBvh::over_mesh(&bvh2, &roles, mesh, &AtomicBool::new(false))
-            .map_err(|error| CorruptStructure(error.to_string()))?;
-        Ok(Self { mesh: mesh.hash, bvh2, roles, wide })
+        let (wide, checked) = rayon::join(
+            || WideBvh::over_mesh(&bvh2, &roles.cpu, mesh, &AtomicBool::new(false)),
+            || wide::check_roles(&bvh2, &roles.gpu),
+        );
+        let wide = checked.and(wide).map_err(|error| CorruptStructure(error.to_string()))?;
+        Ok(Self { mesh: mesh.hash, bvh2, roles, wide, compressed: OnceLock::new() })
     }
 
     /// Checks that every primitive is referenced and lies in its leaves' boxes, that boxes are finite and nested, and

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::Affine3A;
 
+use super::compressed::CompressedBvh;
 use super::flat::{NamedSink, Names};
 use super::line_space::{Gates, LineSpace, SurfaceShafts};
 use super::two_level::TwoLevel;
@@ -184,6 +185,14 @@ impl SceneAccel {
         match &self.form {
             Form::TwoLevel(top) => top.tree(),
             Form::Flat(_) => &NO_TOP,
+        }
+    }
+
+    /// The top level as GPUs walk it; empty in a flat scene.
+    pub(crate) fn compressed_top(&self) -> CompressedBvh {
+        match &self.form {
+            Form::TwoLevel(top) => top.compressed(),
+            Form::Flat(_) => CompressedBvh::default(),
         }
     }
 

@@ -123,12 +123,17 @@ impl Structure {
         }
     }
 
-    /// The binary tree, if it is one.
-    pub fn bvh2(&self) -> Option<&Bvh2> {
+    /// The BVH, if it is one.
+    pub fn bvh(&self) -> Option<&Arc<MeshStructure>> {
         match self {
-            Self::Bvh(bvh) => Some(bvh.bvh2()),
+            Self::Bvh(bvh) => Some(bvh),
             Self::Cells(_) => None,
         }
+    }
+
+    /// The binary tree, if it is one.
+    pub fn bvh2(&self) -> Option<&Bvh2> {
+        self.bvh().map(|bvh| bvh.bvh2())
     }
 
     /// The tree of cells, if it is one.

@@ -8,8 +8,9 @@ use glam::{Affine3A, DMat3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::bvh2::Bvh2;
+use super::compressed::CompressedBvh;
 use super::line_space::{Gates, Verdict};
-use super::wide::{self, Node};
+use super::wide::{self, WideTop};
 use super::{HitFilter, Placement, Structure, SurfaceStart, build};
 use crate::scene::Aabb;
 use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink};
@@ -23,9 +24,7 @@ pub(super) struct TwoLevel {
     /// As many as placements were given.
     instances: Vec<Instance>,
     top: Bvh2,
-    top_nodes: Vec<Node>,
-    /// The instance of each leaf entry of `top_nodes`.
-    top_entries: Vec<u32>,
+    wide_top: WideTop,
     bounds: Aabb,
     /// The one instance there is, when object space is world space: the top level is then not walked.
     only: Option<u32>,
@@ -56,13 +55,13 @@ impl TwoLevel {
             })
             .unzip();
         let top = build::build_over_boxes(&boxes, 1);
-        let (top_nodes, top_entries) = wide::over_instances(&top).expect("fewer than 2^27 instances");
+        let wide_top = wide::over_instances(&top).expect("fewer than 2^27 instances");
         let bounds = top.bounds();
         let only = match *top.primitives {
             [only] if placements[only as usize].transform == Affine3A::IDENTITY => Some(only),
             _ => None,
         };
-        Self { instances, top, top_nodes, top_entries, bounds, only }
+        Self { instances, top, wide_top, bounds, only }
     }
 
     /// Ready to be walked.
@@ -71,14 +70,24 @@ impl TwoLevel {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        self.top.bytes()
-            + size_of_val(self.top_nodes.as_slice())
-            + size_of_val(self.top_entries.as_slice())
-            + size_of_val(self.instances.as_slice())
+        self.top.bytes() + self.wide_top.bytes() + size_of_val(self.instances.as_slice())
     }
 
     pub(super) fn tree(&self) -> &Bvh2 {
         &self.top
+    }
+
+    /// The tree as GPUs walk it; its leaf entries are instance numbers.
+    pub(super) fn compressed(&self) -> CompressedBvh {
+        // Only a leaf's own box is known of the instances in it.
+        let mut boxes = vec![Aabb::EMPTY; self.instances.len()];
+        for leaf in self.top.nodes.iter().filter(|node| node.is_leaf()) {
+            let first = leaf.right_or_first as usize;
+            for &instance in &self.top.primitives[first..first + leaf.count as usize] {
+                boxes[instance as usize] = leaf.bounds();
+            }
+        }
+        CompressedBvh::new(&self.top, &self.wide_top.roles, &|instance| boxes[instance as usize])
     }
 }
 
@@ -150,7 +159,7 @@ impl Scene<'_> {
         let Some(world_ray) = ObjectRay::new(ray, &self.top.bounds) else { return false };
         let counted = Counters::default();
         let mut visitor = InstanceVisitor::<_, ANY> { scene: *self, without, ray, filter, sink, counters: counted };
-        let stopped = self.kernels.walk_top(&self.top.top_nodes, &world_ray, &mut visitor, counters);
+        let stopped = self.kernels.walk_top(&self.top.wide_top.nodes, &world_ray, &mut visitor, counters);
         *counters += visitor.counters;
         stopped
     }
@@ -285,7 +294,7 @@ impl<S: Sink, const ANY: bool> LeafVisitor for InstanceVisitor<'_, S, ANY> {
     #[inline(always)]
     fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
         for entry in entries {
-            let number = self.scene.top.top_entries[entry];
+            let number = self.scene.top.wide_top.entries[entry];
             if self.without == Some(number) {
                 continue;
             }

@@ -128,15 +128,42 @@ fn packets_of(primitives: &[u32], mesh: &Mesh) -> u32 {
     (spheres.div_ceil(LANES) + (primitives.len() - spheres).div_ceil(LANES)) as u32
 }
 
-/// The wide nodes over a tree of instances, and the instance of each leaf entry.
-pub(super) fn over_instances(bvh2: &Bvh2) -> Result<(Vec<Node>, Vec<u32>), BuildError> {
+/// The wide nodes over a tree of instances.
+#[derive(Debug)]
+pub(super) struct WideTop {
+    /// What the nodes of the binary tree are in this one.
+    pub roles: Vec<Role>,
+    pub nodes: Vec<Node>,
+    /// The instance of each leaf entry.
+    pub entries: Vec<u32>,
+}
+
+impl WideTop {
+    pub(super) fn bytes(&self) -> usize {
+        self.roles.len() + size_of_val(self.nodes.as_slice()) + size_of_val(self.entries.as_slice())
+    }
+}
+
+pub(super) fn over_instances(bvh2: &Bvh2) -> Result<WideTop, BuildError> {
     // Each instance is entered for itself, which costs several node visits: leaves of one.
     let never = AtomicBool::new(false);
-    let entries = |primitives: &[u32]| primitives.len() as u32;
-    let roles = choose(bvh2, 1, &entries, &never)?;
-    let (plan, leaves) = plan(bvh2, &roles, entries)?;
+    let count = |primitives: &[u32]| primitives.len() as u32;
+    let roles = choose(bvh2, 1, &count, &never)?;
+    let (plan, leaves) = plan(bvh2, &roles, count)?;
     let entries = leaves.iter().flat_map(|leaf| leaf.primitives(bvh2)).copied().collect();
-    Ok((emit(&plan, bvh2, &never)?, entries))
+    let nodes = emit(&plan, bvh2, &never)?;
+    Ok(WideTop { roles, nodes, entries })
+}
+
+/// The nodes in the slots of the wide node over `node`, whose role that is, from left to right.
+pub(super) fn for_each_slot(bvh2: &Bvh2, roles: &[Role], node: u32, found: &mut impl FnMut(u32)) {
+    for child in [node + 1, bvh2.nodes[node as usize].right_or_first] {
+        if roles[child as usize] == Role::Inside {
+            for_each_slot(bvh2, roles, child, found);
+        } else {
+            found(child);
+        }
+    }
 }
 
 /// What a binary node is in the wide tree.
@@ -154,8 +181,8 @@ pub(super) enum Role {
 }
 
 impl Role {
-    pub(super) fn from_byte(byte: u8) -> Option<Self> {
-        [Self::Inside, Self::Node, Self::Leaf, Self::Below].into_iter().find(|&role| role as u8 == byte)
+    pub(super) fn from_bits(bits: u8) -> Option<Self> {
+        [Self::Inside, Self::Node, Self::Leaf, Self::Below].into_iter().find(|&role| role as u8 == bits)
     }
 }
 
@@ -209,7 +236,7 @@ struct Choice {
 
 /// The cheapest wide tree with leaves of at most `max_leaf` primitives. `entries` says how many leaf entries some
 /// primitives need.
-fn choose(
+pub(super) fn choose(
     bvh2: &Bvh2,
     max_leaf: u32,
     entries: &(impl Fn(&[u32]) -> u32 + Sync),
@@ -242,6 +269,11 @@ fn choose(
         }
     }
     Ok(roles)
+}
+
+/// Whether roles make a wide tree over a tree that passed [`Bvh2::check_topology`].
+pub(super) fn check_roles(bvh2: &Bvh2, roles: &[Role]) -> Result<(), BuildError> {
+    plan(bvh2, roles, |_| 1).map(|_| ())
 }
 
 /// Wide nodes and leaves by their roles, in depth-first order, for a tree that passed [`Bvh2::check_topology`].

@@ -128,6 +128,8 @@ pub struct PassStats {
     pub counters: Counters,
     /// Seconds in which rays were traced and shaded (without upload and read-back).
     pub seconds: f64,
+    /// GPU only: the most seconds that the device was held at a stretch, once its kernels were compiled.
+    pub longest_submit_s: f64,
 }
 
 /// Whoever ordered a pass: may end it, and is told how far it is. A closure that answers whether to stop will do.

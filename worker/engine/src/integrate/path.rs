@@ -25,8 +25,8 @@ const ROULETTE_START: u32 = 3;
 /// No path survives with certainty, so that closed white rooms end too.
 const MAX_SURVIVAL: f32 = 0.95;
 /// Bound on the rounding error of where a shadow ray meets its light, relative to the largest coordinates of its ends:
-/// 16 half units in the last place, as [`super::math::LOCAL_ERROR`].
-const SHADOW_ERROR: f32 = super::math::LOCAL_ERROR;
+/// 64 half units in the last place, because GPUs' divisions and roots may each be off by five.
+const SHADOW_ERROR: f32 = 4.0 * super::math::LOCAL_ERROR;
 
 #[derive(Clone, Copy, Debug)]
 pub struct PathState {

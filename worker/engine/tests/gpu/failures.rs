@@ -1,6 +1,5 @@
 //! What goes wrong is said, or repaired.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use lightshaft_engine::device::gpu::{Context, GpuDevice, adapters};
@@ -8,8 +7,8 @@ use lightshaft_engine::device::{Device, DeviceError, Pass, Region};
 use lightshaft_engine::film::PassFilm;
 use lightshaft_engine::settings::Integrator;
 
-use crate::context;
 use crate::scenes::{opaque, packed, settings};
+use crate::{context, context_within};
 
 #[test]
 fn adapters_are_listed_and_selected_by_part_of_their_name() {
@@ -42,7 +41,7 @@ fn a_lost_device_is_opened_again_and_the_picture_is_the_same() {
         .render(&pass, &mut expected, &|| false)
         .expect("renders");
 
-    let doomed = Arc::new(Context::open(None).expect("opens"));
+    let doomed = context_within(u32::MAX, u64::MAX);
     let mut device = GpuDevice::with_context(doomed.clone());
     let mut renderer = device.prepare(scene.clone(), &settings).expect("prepares");
     let waves = AtomicU32::new(0);
@@ -60,6 +59,37 @@ fn a_lost_device_is_opened_again_and_the_picture_is_the_same() {
     // The next job on the same device gets a new context too.
     let mut renderer = device.prepare(scene, &settings).expect("prepares");
     renderer.render(&pass, &mut film, &|| false).expect("renders");
+    assert_eq!(device.info(), doomed.info, "another adapter took its place");
+}
+
+/// Losses at any wave and cancelled passes between them, one after the other on one device.
+#[test]
+fn losses_and_cancels_over_and_over_end_with_the_same_picture() {
+    let settings = settings(Integrator::Ao { samples: 2, distance: 1.0 });
+    let scene = packed(&opaque(), &settings);
+    let region = Region::full(&settings);
+    let pass = Pass { region, first_sample: 0, samples: 4 };
+    let mut device = GpuDevice::with_context(context_within(u32::MAX, u64::MAX));
+    let mut expected = PassFilm::new(region);
+    let mut renderer = device.prepare(scene.clone(), &settings).expect("prepares");
+    renderer.render(&pass, &mut expected, &|| false).expect("renders");
+    for round in 0..6 {
+        let mut renderer = device.prepare(scene.clone(), &settings).expect("prepares");
+        let doomed = device.context().clone();
+        let waves = AtomicU32::new(0);
+        let lose = || {
+            if waves.fetch_add(1, Ordering::Relaxed) == round % 4 {
+                doomed.destroy();
+            }
+            false
+        };
+        let mut film = PassFilm::new(region);
+        renderer.render(&pass, &mut film, &lose).expect("recovers");
+        assert!(film.mean() == expected.mean(), "round {round}: the picture differs after the loss");
+        let unchanged = film.clone();
+        assert!(matches!(renderer.render(&pass, &mut film, &|| true), Err(DeviceError::Cancelled)));
+        assert!(film == unchanged, "round {round}: the cancelled pass left something");
+    }
 }
 
 #[test]
@@ -90,10 +120,20 @@ fn a_pass_outside_its_film_is_refused() {
 #[test]
 fn a_scene_that_needs_more_bindings_than_there_are_is_refused() {
     let settings = settings(Integrator::Direct);
-    let context = Arc::new(Context::open_within(None, 8, 16 << 10).expect("opens"));
+    let context = context_within(8, 16 << 10);
     let mut device = GpuDevice::with_context(context);
     let Err(DeviceError::TooLarge(message)) = device.prepare(packed(&opaque(), &settings), &settings) else {
         panic!("prepared what does not fit");
     };
     assert!(message.contains("storage buffers") || message.contains("bindings"), "{message}");
+}
+
+#[test]
+fn a_scene_beyond_all_bindings_is_refused_with_its_size() {
+    let settings = settings(Integrator::Direct);
+    let mut device = GpuDevice::with_context(context_within(u32::MAX, 4 << 10));
+    let Err(DeviceError::TooLarge(message)) = device.prepare(packed(&opaque(), &settings), &settings) else {
+        panic!("prepared what does not fit");
+    };
+    assert!(message.contains("KiB") && message.contains("4 bindings of 4 KiB"), "{message}");
 }

@@ -17,10 +17,12 @@ use lightshaft_engine::device::gpu::Context;
 /// One device for all tests, so that each kernel is compiled once.
 fn context() -> Arc<Context> {
     static CONTEXT: OnceLock<Arc<Context>> = OnceLock::new();
-    CONTEXT
-        .get_or_init(|| {
-            let adapter = std::env::var("LIGHTSHAFT_ADAPTER").ok();
-            Arc::new(Context::open(adapter.as_deref()).expect("tests need an adapter (mesa-vulkan-drivers has one)"))
-        })
-        .clone()
+    CONTEXT.get_or_init(|| context_within(u32::MAX, u64::MAX)).clone()
+}
+
+/// A device of its own, which binds no more than so many storage buffers of so many bytes.
+fn context_within(storage_buffers: u32, binding_bytes: u64) -> Arc<Context> {
+    let adapter = std::env::var("LIGHTSHAFT_ADAPTER").ok();
+    let context = Context::open_within(adapter.as_deref(), storage_buffers, binding_bytes);
+    Arc::new(context.expect("tests need an adapter (mesa-vulkan-drivers has one)"))
 }

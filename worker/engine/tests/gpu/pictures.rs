@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use lightshaft_engine::device::cpu::CpuDevice;
 use lightshaft_engine::device::gpu::{Context, GpuDevice};
-use lightshaft_engine::device::{Device, Pass, PassStats, Region};
+use lightshaft_engine::device::{Device, DeviceError, Pass, PassStats, Region};
 use lightshaft_engine::film::{AovBuffers, AovLayer, PassFilm};
 use lightshaft_engine::scene::Scene;
 use lightshaft_engine::settings::{Aov, Integrator, RenderSettings};
 
-use crate::context;
-use crate::scenes::{everything, opaque, packed, settings, sky};
+use crate::scenes::{everything, many_bytes, opaque, packed, settings, sky};
+use crate::{context, context_within};
 
 fn render(device: &mut dyn Device, scene: &Scene, settings: &RenderSettings) -> (Vec<[f32; 3]>, PassStats) {
     let mut renderer = device.prepare(packed(scene, settings), settings).expect("prepares");
@@ -79,8 +79,30 @@ fn path_without_alpha_under_a_map() {
 /// With no more bindings than WebGPU promises: every adapter has that many.
 #[test]
 fn path_with_eight_storage_buffers() {
-    let context = Arc::new(Context::open_within(None, 8, u64::MAX).expect("opens"));
-    assert_same_picture_on(context, "path-8", &everything(), &settings(Integrator::Path { max_bounces: 2 }));
+    assert_same_picture_on(
+        context_within(8, u64::MAX),
+        "path-8",
+        &everything(),
+        &settings(Integrator::Path { max_bounces: 2 }),
+    );
+}
+
+/// With every array over several bindings, as large scenes have it where an adapter binds little at once.
+#[test]
+fn ambient_occlusion_over_several_bindings() {
+    const BYTES: u64 = 32 << 10;
+    let settings = settings(Integrator::Ao { samples: 3, distance: 1.5 });
+    let scene = many_bytes();
+    let mut too_few = GpuDevice::with_context(context_within(8, BYTES));
+    let Err(DeviceError::TooLarge(message)) = too_few.prepare(packed(&scene, &settings), &settings) else {
+        panic!("one binding was enough for each array");
+    };
+    // Nodes, primitives, words, texels, and four buffers that are never split.
+    assert!(message.contains(&format!("takes {} storage buffers", 2 + 4 + 3 + 2 + 1 + 3)), "{message}");
+    let few_bytes = context_within(u32::MAX, BYTES);
+    assert_same_picture_on(few_bytes.clone(), "ao-bindings", &scene, &settings);
+    let [split, whole] = [few_bytes, context()].map(|c| render(&mut GpuDevice::with_context(c), &scene, &settings).0);
+    assert!(split == whole, "the picture depends on how arrays are bound");
 }
 
 #[test]

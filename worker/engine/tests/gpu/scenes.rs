@@ -27,8 +27,8 @@ fn quad() -> Mesh {
     quad
 }
 
-fn smooth_ball() -> Mesh {
-    let mut shape = ball(24, Vec3::ZERO, 1.0);
+fn smooth_ball(rings: u32) -> Mesh {
+    let mut shape = ball(rings, Vec3::ZERO, 1.0);
     shape.normals = shape.positions.iter().map(|p| p.normalize()).collect();
     shape
 }
@@ -45,6 +45,18 @@ fn texture(texture: u32, uv_set: u32) -> Option<TextureRef> {
 
 /// A box of quads with a lamp, and in it a ball, spheres, cards with alpha, a mirror and an unlit card.
 pub(crate) fn everything() -> Scene {
+    everything_with(smooth_ball(24), noise(8, 8, 1))
+}
+
+/// The same with larger arrays.
+pub(crate) fn many_bytes() -> Scene {
+    let mut scene = everything_with(smooth_ball(24), noise(128, 96, 1));
+    // A mesh of one triangle takes more bytes of nodes than of primitives.
+    scene.meshes.extend((0..250).map(|_| Arc::new(mesh(vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![[0, 1, 2]], vec![]))));
+    scene
+}
+
+fn everything_with(ball: Mesh, image: Arc<Image>) -> Scene {
     let plain = Material { metallic: 0.0, ..Material::default() };
     let materials = vec![
         Material { base_color: [0.8, 0.7, 0.6, 1.0], ..plain.clone() },
@@ -71,7 +83,7 @@ pub(crate) fn everything() -> Scene {
             ..plain
         },
     ];
-    let images = vec![noise(8, 8, 1), noise(5, 7, 2), noise(4, 4, 3)];
+    let images = vec![image, noise(5, 7, 2), noise(4, 4, 3)];
     let textures = vec![
         Texture { image: 0, wrap_u: Wrap::Repeat, wrap_v: Wrap::MirroredRepeat, filter: Filter::Linear },
         Texture { image: 1, wrap_u: Wrap::ClampToEdge, wrap_v: Wrap::Repeat, filter: Filter::Nearest },
@@ -88,7 +100,7 @@ pub(crate) fn everything() -> Scene {
         ],
     );
     beads.slots = 3;
-    let mut meshes = [quad(), smooth_ball(), beads];
+    let mut meshes = [quad(), ball, beads];
     for (i, mesh) in meshes.iter_mut().enumerate() {
         mesh.hash = MeshHash([i as u8 + 1; 32]);
     }

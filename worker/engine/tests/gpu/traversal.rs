@@ -28,14 +28,14 @@ fn pair(meshes: &[Mesh], placements: &[Placement]) -> Pair {
     let cpu = SceneAccel::build(structures.clone(), placements);
     let views: Vec<_> = (0..meshes.len())
         .map(|i| MeshView {
-            bvh: structures[i].bvh2(),
+            structure: &structures[i],
             positions: &positions[i],
             triangles: &meshes[i].triangles,
             spheres: &spheres[i],
         })
         .collect();
     let placed: Vec<_> = placements.iter().map(|p| PlacementView::new(p.mesh, p.transform, p.filtered)).collect();
-    let gpu = HostStructure::wide(cpu.top(), &views, &placed);
+    let gpu = HostStructure::wide(&cpu, &views, &placed);
     let bounds = cpu.top().bounds();
     Pair { cpu, gpu, bounds }
 }

@@ -40,6 +40,33 @@ pub(super) fn select(name: Option<&str>) -> Result<wgpu::Adapter, DeviceError> {
     }))
 }
 
+/// The adapter that was open before, and no other: pictures, speed and limits of another one would differ.
+///
+/// # Errors
+/// [`DeviceError::NoAdapter`] when it is not there any more, or has another driver now.
+pub(super) fn select_again(before: &wgpu::AdapterInfo) -> Result<wgpu::Adapter, DeviceError> {
+    let mut found = Vec::new();
+    for adapter in enumerate() {
+        let info = adapter.get_info();
+        if info == *before {
+            return Ok(adapter);
+        }
+        found.push(identity(&info));
+    }
+    let there_are =
+        if found.is_empty() { "there is none".to_owned() } else { format!("there are {}", found.join(", ")) };
+    Err(DeviceError::NoAdapter(format!(
+        "{} was lost and cannot be opened again, because it is gone or has changed; {there_are}",
+        identity(before)
+    )))
+}
+
+/// What tells adapters apart, for people.
+fn identity(info: &wgpu::AdapterInfo) -> String {
+    let wgpu::AdapterInfo { name, vendor, device, driver, driver_info, .. } = info;
+    format!("`{name}` (vendor {vendor:#06x}, device {device:#06x}, driver {driver} {driver_info})")
+}
+
 pub(super) fn describe(adapter: &wgpu::Adapter) -> DeviceInfo {
     let info = adapter.get_info();
     let limits = adapter.limits();
@@ -68,4 +95,22 @@ fn enumerate() -> Vec<wgpu::Adapter> {
         wgpu::DeviceType::Cpu => 4,
     });
     adapters
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_same_adapter_is_selected_again() {
+        let info = select(None).expect("tests need an adapter (mesa-vulkan-drivers has one)").get_info();
+        assert_eq!(select_again(&info).expect("is there").get_info(), info);
+        for other in [
+            wgpu::AdapterInfo { device: info.device ^ 1, ..info.clone() },
+            wgpu::AdapterInfo { driver_info: "another version".to_owned(), ..info.clone() },
+        ] {
+            let Err(DeviceError::NoAdapter(message)) = select_again(&other) else { panic!("took another adapter") };
+            assert!(message.contains(&identity(&other)) && message.contains(&identity(&info)), "{message}");
+        }
+    }
 }

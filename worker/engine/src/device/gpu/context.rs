@@ -28,6 +28,7 @@ pub struct Context {
     pub(super) queue: wgpu::Queue,
     pub info: DeviceInfo,
     pub(super) limits: wgpu::Limits,
+    adapter: wgpu::AdapterInfo,
     checks: bool,
     failure: Failure,
     /// Held from a submit to its end.
@@ -45,10 +46,22 @@ impl Context {
     /// bytes each: for tests of what other adapters can do.
     pub fn open_within(name: Option<&str>, storage_buffers: u32, binding_bytes: u64) -> Result<Self, DeviceError> {
         let adapter = adapter::select(name)?;
-        let info = adapter::describe(&adapter);
         let mut limits = adapter.limits();
         limits.max_storage_buffers_per_shader_stage = limits.max_storage_buffers_per_shader_stage.min(storage_buffers);
         limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(binding_bytes);
+        Self::open_adapter(&adapter, limits)
+    }
+
+    /// Opens the adapter anew on which this context was lost, with the same limits.
+    ///
+    /// # Errors
+    /// [`DeviceError::NoAdapter`] when it is gone: no other takes its place unasked.
+    pub(super) fn reopen(&self) -> Result<Self, DeviceError> {
+        Self::open_adapter(&adapter::select_again(&self.adapter)?, self.limits.clone())
+    }
+
+    fn open_adapter(adapter: &wgpu::Adapter, limits: wgpu::Limits) -> Result<Self, DeviceError> {
+        let info = adapter::describe(adapter);
         let descriptor =
             wgpu::DeviceDescriptor { label: Some("lightshaft"), required_limits: limits.clone(), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -59,7 +72,17 @@ impl Context {
         let uncaptured = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| fail(&uncaptured, error.to_string())));
         let checks = cfg!(test) || std::env::var_os("LIGHTSHAFT_SHADER_CHECKS").is_some_and(|v| v == "1");
-        Ok(Self { device, queue, info, limits, checks, failure, turn: Mutex::default(), pipelines: Mutex::default() })
+        Ok(Self {
+            device,
+            queue,
+            info,
+            limits,
+            adapter: adapter.get_info(),
+            checks,
+            failure,
+            turn: Mutex::default(),
+            pipelines: Mutex::default(),
+        })
     }
 
     /// Fails when shading stages cannot bind all that they need; tracing alone needs no more than any adapter has.
@@ -112,10 +135,10 @@ impl Context {
     ) -> Result<wgpu::Buffer, DeviceError> {
         let size = bytes.next_multiple_of(4).max(128);
         let too_large = |limit: String| {
-            DeviceError::TooLarge(format!("{label}: {} MiB do not fit on `{}` ({limit})", size >> 20, self.info.name))
+            DeviceError::TooLarge(format!("{label}: {} do not fit on `{}` ({limit})", amount(size), self.info.name))
         };
         if size > self.limits.max_buffer_size {
-            return Err(too_large(format!("largest buffer {} MiB", self.limits.max_buffer_size >> 20)));
+            return Err(too_large(format!("largest buffer {}", amount(self.limits.max_buffer_size))));
         }
         let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
@@ -167,8 +190,8 @@ impl Context {
             return Ok(());
         }
         Err(DeviceError::TooLarge(format!(
-            "the scene takes {needed} storage buffers of up to {} MiB in one shader stage, `{}` binds {has}",
-            self.binding_limit() >> 20,
+            "the scene takes {needed} storage buffers of up to {} in one shader stage, `{}` binds {has}",
+            amount(self.binding_limit()),
             self.info.name
         )))
     }
@@ -184,10 +207,10 @@ impl Context {
             return Ok(());
         }
         Err(DeviceError::TooLarge(format!(
-            "{what}: {} MiB, but `{}` can hold {} MiB",
-            bytes >> 20,
+            "{what}: {}, but `{}` can hold {}",
+            amount(bytes),
             self.info.name,
-            self.binding_limit() >> 20
+            amount(self.binding_limit())
         )))
     }
 
@@ -335,6 +358,11 @@ impl Context {
 /// All of a buffer, to be bound.
 pub(super) fn whole(buffer: &wgpu::Buffer) -> wgpu::BufferBinding<'_> {
     buffer.as_entire_buffer_binding()
+}
+
+/// Bytes for people.
+pub(super) fn amount(bytes: u64) -> String {
+    if bytes < 1 << 20 { format!("{} KiB", bytes >> 10) } else { format!("{} MiB", bytes >> 20) }
 }
 
 fn numbered<'a>(buffers: &[wgpu::BufferBinding<'a>]) -> Vec<wgpu::BindGroupEntry<'a>> {

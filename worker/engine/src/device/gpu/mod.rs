@@ -16,7 +16,6 @@ mod shafts;
 mod stages;
 mod structure;
 mod tracer;
-mod wide;
 
 use std::sync::Arc;
 
@@ -26,14 +25,16 @@ pub use shafts::{LocatedShaft, locate_shafts};
 pub use structure::{HostStructure, MeshView, PlacementView};
 pub use tracer::{Batch, Kernel, Tracer};
 
+use structure::Kept;
+
 use super::{Device, DeviceError, DeviceInfo, Renderer};
 use crate::pack::PackedScene;
 use crate::settings::RenderSettings;
 
 /// One adapter, opened.
 pub struct GpuDevice {
-    adapter: Option<String>,
     context: Arc<Context>,
+    structure: Kept,
 }
 
 impl GpuDevice {
@@ -44,12 +45,12 @@ impl GpuDevice {
     pub fn open(adapter: Option<&str>) -> Result<Self, DeviceError> {
         let context = Arc::new(Context::open(adapter)?);
         context.check_can_shade()?;
-        Ok(Self { adapter: adapter.map(str::to_owned), context })
+        Ok(Self::with_context(context))
     }
 
     /// The device that renders on `context`, for whoever shares it.
     pub fn with_context(context: Arc<Context>) -> Self {
-        Self { adapter: Some(context.info.name.clone()), context }
+        Self { context, structure: Kept::default() }
     }
 
     pub fn context(&self) -> &Arc<Context> {
@@ -74,9 +75,10 @@ impl Device for GpuDevice {
         }
         // A job before this one may have lost the device.
         if self.context.check().is_err() {
-            self.context = Arc::new(Context::open(self.adapter.as_deref())?);
+            *self = Self::with_context(Arc::new(self.context.reopen()?));
         }
-        let renderer = renderer::GpuRenderer::new(self.context.clone(), self.adapter.clone(), scene, settings)?;
+        let structure = self.structure.of_scene(&self.context, &scene)?;
+        let renderer = renderer::GpuRenderer::new(self.context.clone(), structure, scene, settings)?;
         Ok(Box::new(renderer))
     }
 }

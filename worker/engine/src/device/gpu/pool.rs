@@ -4,7 +4,7 @@
 //! [`MAX_CHUNKS`] bindings of a power-of-two length; the accessor that its shader gets picks the binding by the upper
 //! bits of the index. A pool that fits one binding, the common case, costs its shader nothing.
 
-use super::context::Context;
+use super::context::{Context, amount};
 use crate::device::DeviceError;
 
 pub(super) const MAX_CHUNKS: u32 = 4;
@@ -72,11 +72,11 @@ impl Pool {
         let chunks = bytes.div_ceil(chunk_bytes).max(1);
         if chunks > u64::from(MAX_CHUNKS) {
             return Err(DeviceError::TooLarge(format!(
-                "{name}: {} MiB, but `{}` can hold {} MiB ({MAX_CHUNKS} bindings of {} MiB)",
-                bytes >> 20,
+                "{name}: {}, but `{}` can hold {} ({MAX_CHUNKS} bindings of {})",
+                amount(bytes),
                 context.info.name,
-                (chunk_bytes * u64::from(MAX_CHUNKS)) >> 20,
-                chunk_bytes >> 20
+                amount(chunk_bytes * u64::from(MAX_CHUNKS)),
+                amount(chunk_bytes)
             )));
         }
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;

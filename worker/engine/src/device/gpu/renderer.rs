@@ -7,7 +7,7 @@ use super::context::Context;
 use super::layers::Layers;
 use super::scene::{GpuScene, Wave};
 use super::stages::{MIN_SLOTS, Run, Stages, WIDEST_SLOT_BYTES, most_bindings};
-use super::structure::{GpuStructure, HostStructure};
+use super::structure::{GpuStructure, Kept};
 use crate::device::{DeviceError, Pass, PassStats, RayCounts, Region, Renderer, Watch};
 use crate::film::{AovBuffers, PassFilm};
 use crate::integrate::aov::FirstHit;
@@ -31,13 +31,12 @@ const LIVENESS_INTERVAL: u32 = 8;
 /// A scene on the device. Lost with it, and made again from the packed scene.
 pub(super) struct Resident {
     pub context: Arc<Context>,
-    pub structure: GpuStructure,
+    pub structure: Arc<GpuStructure>,
     pub scene: GpuScene,
 }
 
 impl Resident {
-    fn upload(context: Arc<Context>, packed: &PackedScene) -> Result<Self, DeviceError> {
-        let structure = GpuStructure::upload(&context, &HostStructure::of_scene(packed))?;
+    fn upload(context: Arc<Context>, structure: Arc<GpuStructure>, packed: &PackedScene) -> Result<Self, DeviceError> {
         let scene = GpuScene::upload(&context, packed)?;
         context.check_bindings(most_bindings(&structure, &scene))?;
         context.check()?;
@@ -71,12 +70,14 @@ impl Pace {
         Self { slots: FIRST_SLOTS.min(most), most, warm: false }
     }
 
-    fn record(&mut self, longest_s: f64) {
-        if self.warm {
-            let factor = (SUBMIT_TARGET_S / longest_s.max(1e-6)).clamp(0.5, 2.0);
-            self.slots = ((f64::from(self.slots) * factor) as u32).clamp(MIN_SLOTS.min(self.most), self.most);
+    /// Answers the seconds of the longest submit again, unless they say nothing of later ones.
+    fn record(&mut self, longest_s: f64) -> f64 {
+        if !std::mem::replace(&mut self.warm, true) {
+            return 0.0;
         }
-        self.warm = true;
+        let factor = (SUBMIT_TARGET_S / longest_s.max(1e-6)).clamp(0.5, 2.0);
+        self.slots = ((f64::from(self.slots) * factor) as u32).clamp(MIN_SLOTS.min(self.most), self.most);
+        longest_s
     }
 }
 
@@ -84,8 +85,6 @@ pub(super) struct GpuRenderer {
     packed: Arc<PackedScene>,
     integrator: Integrator,
     seed: u32,
-    /// Which adapter to open again after a loss.
-    adapter: Option<String>,
     resident: Resident,
     stages: Option<Stages>,
     layers: Option<Layers>,
@@ -96,17 +95,16 @@ pub(super) struct GpuRenderer {
 impl GpuRenderer {
     pub(super) fn new(
         context: Arc<Context>,
-        adapter: Option<String>,
+        structure: Arc<GpuStructure>,
         packed: Arc<PackedScene>,
         settings: &RenderSettings,
     ) -> Result<Self, DeviceError> {
         let (wave_pace, layer_pace) = Self::paces(&context);
-        let resident = Resident::upload(context, &packed)?;
+        let resident = Resident::upload(context, structure, &packed)?;
         Ok(Self {
             packed,
             integrator: settings.integrator,
             seed: settings.seed,
-            adapter,
             resident,
             stages: None,
             layers: None,
@@ -139,9 +137,10 @@ impl GpuRenderer {
     fn revive(&mut self) -> Result<(), DeviceError> {
         self.stages = None;
         self.layers = None;
-        let context = Arc::new(Context::open(self.adapter.as_deref())?);
+        let context = Arc::new(self.resident.context.reopen()?);
         (self.wave_pace, self.layer_pace) = Self::paces(&context);
-        self.resident = Resident::upload(context, &self.packed)?;
+        let structure = Kept::default().of_scene(&context, &self.packed)?;
+        self.resident = Resident::upload(context, structure, &self.packed)?;
         Ok(())
     }
 
@@ -165,7 +164,7 @@ impl GpuRenderer {
         let pixels = (slots / pass.samples.min(SAMPLES_TOGETHER)).clamp(1, left);
         let context = &*self.resident.context;
         let (closest_before, shadow_before) = stages.ray_totals(context)?;
-        let mut done = 0;
+        let (mut done, mut longest_s) = (0, 0.0_f64);
         while done < pass.samples {
             if watch.cancelled() {
                 return Err(DeviceError::Cancelled);
@@ -188,9 +187,9 @@ impl GpuRenderer {
             };
             let run = self.resident.run();
             render_wave(stages, &run, wave, self.integrator)?;
-            let longest_s = run.longest_s.get();
-            tracing::trace!(slots = pixels * samples, longest_s, "wave");
-            self.wave_pace.record(longest_s);
+            let wave_s = run.longest_s.get();
+            tracing::trace!(slots = pixels * samples, longest_s = wave_s, "wave");
+            longest_s = longest_s.max(self.wave_pace.record(wave_s));
             done += samples;
             let finished = f64::from(first) + f64::from(pixels) * f64::from(done) / f64::from(pass.samples);
             watch.progress(finished / pass.region.pixels() as f64);
@@ -205,13 +204,14 @@ impl GpuRenderer {
             shadow: if is_ao { 0 } else { occlusion },
             ao: if is_ao { occlusion } else { 0 },
         };
-        Ok(RunSums { sums: stages.sums(context, pixels)?, rays })
+        Ok(RunSums { sums: stages.sums(context, pixels)?, rays, longest_s })
     }
 }
 
 struct RunSums {
     sums: Vec<[f64; 3]>,
     rays: RayCounts,
+    longest_s: f64,
 }
 
 /// All bounces of one wave, and its radiance into the sums.
@@ -271,6 +271,7 @@ impl Renderer for GpuRenderer {
             let run = self.with_retries(|renderer| renderer.render_run(pass, first, watch))?;
             sums.extend(run.sums);
             stats.rays += run.rays;
+            stats.longest_submit_s = stats.longest_submit_s.max(run.longest_s);
         }
         // Only now, so that a cancelled pass leaves the film as it was.
         for (i, sum) in pass.region.places_in(film.region).zip(&sums) {
@@ -291,14 +292,15 @@ impl Renderer for GpuRenderer {
                 return Err(DeviceError::Cancelled);
             }
             let first = hits.len() as u32;
-            hits.extend(self.with_retries(|renderer| {
+            let (part, longest_s) = self.with_retries(|renderer| {
                 let pixels = renderer.layer_pace.slots.min(region.pixels() as u32 - first);
                 let layers = Layers::reserve(&mut renderer.layers, &renderer.resident, pixels)?;
                 let run = renderer.resident.run();
                 let hits = layers.render(&run, region, first, pixels)?;
-                renderer.layer_pace.record(run.longest_s.get());
-                Ok(hits)
-            })?);
+                Ok((hits, renderer.layer_pace.record(run.longest_s.get())))
+            })?;
+            hits.extend(part);
+            stats.longest_submit_s = stats.longest_submit_s.max(longest_s);
         }
         for hit in &hits {
             let (box_tests, triangle_tests) = (hit.box_tests.into(), hit.primitive_tests.into());

@@ -283,3 +283,31 @@ fn structs_are_read_from_the_tables_as_rust_wrote_them() {
         assert_eq!(read, written, "{accessor}");
     }
 }
+
+#[test]
+fn sines_and_cosines_are_those_of_the_cpu() {
+    let context = Context::open(None).expect("tests need an adapter (mesa-vulkan-drivers has one)");
+    const COUNT: usize = 4096;
+    let text = "//!include rays\n//!include scene\n//!include math\n\
+         @group(2) @binding(0) var<storage, read_write> values: array<vec2<f32>>;\n\
+         @compute @workgroup_size(64)\n\
+         fn main(@builtin(global_invocation_id) id: vec3<u32>) { values[id.x] = unit_circle(values[id.x].x); }\n";
+    let source = compose_text("circle test", text, &Variant { pools: &pools(1), ..Variant::default() });
+    let angles: Vec<[f32; 2]> = (0..COUNT).map(|i| [std::f32::consts::TAU * (i as f32 / 2047.0 - 1.0), 0.0]).collect();
+    let values = context.upload("values", bytemuck::cast_slice(&angles)).expect("fits");
+    let (layout, group) = context.bind_buffers("values", &[whole(&values)]);
+    let pipeline = context.pipeline(&source, &[None, None, Some(&layout)]);
+    let mut encoder = context.encoder();
+    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+    pass.set_pipeline(&pipeline);
+    pass.set_bind_group(2, &group, &[]);
+    pass.dispatch_workgroups(COUNT as u32 / 64, 1, 1);
+    drop(pass);
+    context.submit(encoder).expect("runs");
+    let found: Vec<[f32; 2]> = context.read(&values, COUNT).expect("reads");
+    for ([angle, _], [cosine, sine]) in angles.into_iter().zip(found) {
+        let (expected_sine, expected_cosine) = f64::from(angle).sin_cos();
+        let error = (f64::from(sine) - expected_sine).abs().max((f64::from(cosine) - expected_cosine).abs());
+        assert!(error < 2e-7, "{angle}: {cosine}, {sine}");
+    }
+}

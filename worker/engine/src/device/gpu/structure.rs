@@ -1,11 +1,14 @@
 //! The spatial structure on the device: one node pool and one primitive pool for the top level and all meshes.
 
+use std::sync::{Arc, Weak};
+
 use glam::{Affine3A, Mat3};
+use rayon::prelude::*;
 
 use super::context::Context;
 use super::pool::{Pool, PoolLayout};
-use super::wide::WideTree;
-use crate::accel::Bvh2;
+use crate::accel::compressed::{CompressedBvh, CompressedNode};
+use crate::accel::{Bvh2, MeshStructure, SceneAccel};
 use crate::device::DeviceError;
 use crate::pack::{INSTANCE_ALPHA, PackedInstance, PackedMesh, PackedScene};
 use crate::scene::Aabb;
@@ -17,7 +20,7 @@ const PRIMITIVE_SPHERE: u32 = 1;
 /// A mesh as the structure sees it.
 #[derive(Clone, Copy)]
 pub struct MeshView<'a> {
-    pub bvh: &'a Bvh2,
+    pub structure: &'a MeshStructure,
     pub positions: &'a [[f32; 3]],
     pub triangles: &'a [[u32; 3]],
     /// Centre and radius; numbered after the triangles.
@@ -25,9 +28,9 @@ pub struct MeshView<'a> {
 }
 
 impl<'a> MeshView<'a> {
-    fn packed(scene: &'a PackedScene, mesh: &PackedMesh, bvh: &'a Bvh2) -> Self {
+    fn packed(scene: &'a PackedScene, mesh: &PackedMesh, structure: &'a MeshStructure) -> Self {
         Self {
-            bvh,
+            structure,
             positions: &scene.positions[mesh.position_offset as usize..],
             triangles: &scene.triangles[mesh.triangle_offset as usize..][..mesh.triangle_count as usize],
             spheres: &scene.spheres[mesh.sphere_offset as usize..][..mesh.sphere_count as usize],
@@ -68,7 +71,7 @@ impl<'a> MeshView<'a> {
 }
 
 /// An instance as the structure sees it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacementView {
     pub mesh: u32,
     /// Rows of the inverse of the 3x3 part.
@@ -117,39 +120,36 @@ pub struct HostStructure {
 }
 
 impl HostStructure {
-    /// The compressed wide trees that `traverse.wgsl` walks.
-    pub fn wide(top: &Bvh2, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
-        let mut host = Self::empty(meshes, placements.len());
-        let top_bounds = leaf_bounds(top, placements.len());
-        let top_tree = WideTree::from_bvh2(top, &|instance| top_bounds[instance as usize]);
-        host.push_tree(&top_tree, 0);
-        if top_tree.nodes.is_empty() {
-            host.nodes.resize(20, 0);
-        }
-        let mut roots = Vec::with_capacity(meshes.len());
-        let mut deepest = 0;
-        for mesh in meshes {
-            let tree = WideTree::from_bvh2(mesh.bvh, &|primitive| mesh.bounds(primitive));
-            deepest = deepest.max(tree.depth);
-            roots.push((host.nodes.len() / 20) as u32);
-            host.push_tree(&tree, (host.prims.len() / 3) as u32);
-            host.prims.extend(tree.leaves.iter().flat_map(|&primitive| mesh.record(primitive)));
-        }
-        host.set_placements(&top_tree.leaves, placements, &roots);
-        host.stack_size = top_tree.depth + deepest + 2;
-        host
-    }
-
-    /// The structure of a packed scene, which must be of two levels of BVHs.
-    pub fn of_scene(scene: &PackedScene) -> Self {
-        let meshes: Vec<_> = scene
-            .meshes
-            .iter()
-            .zip(scene.accel.structures())
-            .filter_map(|(m, s)| Some(MeshView::packed(scene, m, s.bvh2()?)))
+    /// The compressed wide trees that `traverse.wgsl` walks. Each mesh's tree is made once and kept with its structure.
+    pub fn wide(accel: &SceneAccel, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
+        let top = accel.compressed_top();
+        let trees: Vec<&CompressedBvh> = meshes
+            .par_iter()
+            .with_max_len(1)
+            .map(|mesh| mesh.structure.compressed(&|primitive| mesh.bounds(primitive)))
             .collect();
-        let placements: Vec<_> = scene.instances.iter().map(PlacementView::packed).collect();
-        Self::wide(scene.accel.top(), &meshes, &placements)
+        let mut host = Self::empty(meshes, placements.len());
+        let (mut node_count, mut prim_count) = (top.nodes.len().max(1), host.prims.len());
+        let mut starts = Vec::with_capacity(trees.len());
+        for tree in &trees {
+            starts.push((node_count as u32, prim_count as u32 / 3));
+            node_count += tree.nodes.len();
+            prim_count += 3 * tree.leaves.len();
+        }
+        host.nodes.resize(node_count * NODE_WORDS, 0);
+        host.prims.resize(prim_count, [0; 4]);
+        copy_nodes(&mut host.nodes, &top, (0, 0));
+        for ((tree, mesh), &(first_node, first_leaf)) in trees.iter().zip(meshes).zip(&starts) {
+            copy_nodes(&mut host.nodes[first_node as usize * NODE_WORDS..], tree, (first_node, first_leaf));
+            let records = host.prims[3 * first_leaf as usize..].par_chunks_exact_mut(3);
+            records.zip(&tree.leaves).with_min_len(4096).for_each(|(record, &primitive)| {
+                record.copy_from_slice(&mesh.record(primitive));
+            });
+        }
+        let roots: Vec<u32> = starts.iter().map(|&(first_node, _)| first_node).collect();
+        host.set_placements(&top.leaves, placements, &roots);
+        host.stack_size = top.depth + trees.iter().map(|tree| tree.depth).max().unwrap_or(0) + 2;
+        host
     }
 
     /// The plain binary trees of the benchmark's base kernel. Leaves of the top level must hold one instance each.
@@ -159,11 +159,12 @@ impl HostStructure {
         let mut roots = Vec::with_capacity(meshes.len());
         for mesh in meshes {
             roots.push((host.nodes.len() / 8) as u32);
-            host.push_binary(mesh.bvh, (host.prims.len() / 3) as u32);
-            host.prims.extend(mesh.bvh.primitives.iter().flat_map(|&primitive| mesh.record(primitive)));
+            host.push_binary(mesh.structure.bvh2(), (host.prims.len() / 3) as u32);
+            host.prims.extend(mesh.structure.bvh2().primitives.iter().flat_map(|&primitive| mesh.record(primitive)));
         }
         host.set_placements(&top.primitives, placements, &roots);
-        host.stack_size = binary_depth(top) + meshes.iter().map(|m| binary_depth(m.bvh)).max().unwrap_or(0) + 1;
+        host.stack_size =
+            binary_depth(top) + meshes.iter().map(|m| binary_depth(m.structure.bvh2())).max().unwrap_or(0) + 1;
         host
     }
 
@@ -174,16 +175,6 @@ impl HostStructure {
             stack_size: 0,
             spheres: meshes.iter().any(|m| !m.spheres.is_empty()),
             filtered: false,
-        }
-    }
-
-    fn push_tree(&mut self, tree: &WideTree, first_leaf: u32) {
-        let first_node = (self.nodes.len() / 20) as u32;
-        for node in &tree.nodes {
-            let mut node = *node;
-            node.child_base += first_node;
-            node.leaf_base += first_leaf;
-            self.nodes.extend_from_slice(bytemuck::cast_slice(&[node]));
         }
     }
 
@@ -207,16 +198,14 @@ impl HostStructure {
     }
 }
 
-/// For every instance the box of the top level's leaf in which it stands.
-fn leaf_bounds(top: &Bvh2, instances: usize) -> Vec<Aabb> {
-    let mut bounds = vec![Aabb::EMPTY; instances];
-    for node in top.nodes.iter().filter(|node| node.count > 0) {
-        let first = node.right_or_first as usize;
-        for &instance in &top.primitives[first..first + node.count as usize] {
-            bounds[instance as usize] = Aabb { min: node.min.into(), max: node.max.into() };
-        }
-    }
-    bounds
+/// Words of a node.
+const NODE_WORDS: usize = size_of::<CompressedNode>() / 4;
+
+/// Writes a tree's nodes where the pools' nodes and leaf entries before it are so many.
+fn copy_nodes(into: &mut [u32], tree: &CompressedBvh, (nodes, leaves): (u32, u32)) {
+    into.par_chunks_exact_mut(NODE_WORDS).zip(&tree.nodes).with_min_len(4096).for_each(|(into, node)| {
+        into.copy_from_slice(bytemuck::cast_slice(&[node.moved(nodes, leaves)]));
+    });
 }
 
 fn binary_depth(tree: &Bvh2) -> u32 {
@@ -226,6 +215,65 @@ fn binary_depth(tree: &Bvh2) -> u32 {
         depths[node.right_or_first as usize] = depths[i] + 1;
     }
     depths.into_iter().max().unwrap_or(1)
+}
+
+/// What a structure on the device is made from: equal origins make equal structures.
+pub(super) struct Origin {
+    meshes: Vec<Weak<MeshStructure>>,
+    placements: Vec<PlacementView>,
+}
+
+impl Origin {
+    /// Of a packed scene, which must be of two levels of BVHs.
+    pub(super) fn of(scene: &PackedScene) -> Self {
+        Self {
+            meshes: scene.accel.structures().iter().filter_map(|s| s.bvh()).map(Arc::downgrade).collect(),
+            placements: scene.instances.iter().map(PlacementView::packed).collect(),
+        }
+    }
+
+    /// The structure of the scene that this is the origin of.
+    fn layout(&self, scene: &PackedScene) -> HostStructure {
+        let meshes: Vec<_> = scene
+            .meshes
+            .iter()
+            .zip(scene.accel.structures())
+            .filter_map(|(mesh, structure)| Some(MeshView::packed(scene, mesh, structure.bvh()?)))
+            .collect();
+        HostStructure::wide(&scene.accel, &meshes, &self.placements)
+    }
+}
+
+impl PartialEq for Origin {
+    fn eq(&self, other: &Self) -> bool {
+        self.meshes.len() == other.meshes.len()
+            && self.meshes.iter().zip(&other.meshes).all(|(a, b)| a.ptr_eq(b))
+            && self.placements == other.placements
+    }
+}
+
+/// The structure that was last on the device: the next job often has the same.
+#[derive(Default)]
+pub(super) struct Kept(Option<(Origin, Arc<GpuStructure>)>);
+
+impl Kept {
+    /// The structure of a scene, which must be of two levels of BVHs, on the device. What was kept before goes first
+    /// unless it is the same or somebody traces with it.
+    pub(super) fn of_scene(
+        &mut self,
+        context: &Context,
+        scene: &PackedScene,
+    ) -> Result<Arc<GpuStructure>, DeviceError> {
+        let origin = Origin::of(scene);
+        if let Some((_, known)) = self.0.as_ref().filter(|(known, _)| *known == origin) {
+            return Ok(Arc::clone(known));
+        }
+        self.0 = None;
+        let made = Arc::new(GpuStructure::upload(context, &origin.layout(scene))?);
+        context.check()?;
+        self.0 = Some((origin, Arc::clone(&made)));
+        Ok(made)
+    }
 }
 
 /// Bind group 0 of the tracing stages.
@@ -270,5 +318,44 @@ impl GpuStructure {
             bytes: nodes.bytes + prims.bytes,
             pools: [nodes.layout, prims.layout],
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::Structure;
+    use crate::integrate::tests::{camera, matte, prepare, scene, settings, sphere, square};
+    use crate::pack::{pack, placements};
+    use crate::scene::Scene;
+    use crate::settings::Integrator;
+    use glam::Vec3;
+
+    #[test]
+    fn a_structure_stays_on_the_device_until_a_scene_has_another() {
+        let context = Context::open(None).expect("tests need an adapter (mesa-vulkan-drivers has one)");
+        let objects = |height: f32| {
+            let lifted = Affine3A::from_translation(Vec3::Z * height);
+            scene(vec![(square(), matte(0.5, 1.0), Affine3A::IDENTITY), (sphere(), matte(0.5, 1.0), lifted)])
+        };
+        let settings = |distance| settings(Integrator::Direct, camera(Vec3::ZERO, Vec3::Z, distance, 1.0), 1.0);
+        let first = prepare(&objects(1.0), &settings(2.0));
+        let structures: Vec<Structure> = first.accel.structures().to_vec();
+        let next_job = |scene: &Scene, distance| {
+            let accel = SceneAccel::build(structures.clone(), &placements(scene));
+            pack(scene, &settings(distance), Arc::new(accel)).expect("packs")
+        };
+        let mut kept = Kept::default();
+        let structure = kept.of_scene(&context, &first).expect("fits");
+        for structure in &structures {
+            let bvh = structure.bvh().expect("a BVH");
+            assert!(!bvh.compressed(&|_| panic!("made a second time")).nodes.is_empty());
+        }
+        let with_another_camera = kept.of_scene(&context, &next_job(&objects(1.0), 3.0)).expect("fits");
+        assert!(Arc::ptr_eq(&structure, &with_another_camera));
+        let with_the_sphere_moved = kept.of_scene(&context, &next_job(&objects(2.0), 3.0)).expect("fits");
+        assert!(!Arc::ptr_eq(&structure, &with_the_sphere_moved));
+        let of_other_meshes = kept.of_scene(&context, &prepare(&objects(2.0), &settings(3.0))).expect("fits");
+        assert!(!Arc::ptr_eq(&with_the_sphere_moved, &of_other_meshes));
     }
 }
