@@ -428,8 +428,12 @@ impl Metrics {
 pub struct LineSpaceUse {
     /// Meshes that have one.
     pub meshes: u64,
+    /// Of those, the ones that are asked: where it pays.
+    pub asked: u64,
     /// Rays that asked: the sum of those below.
     pub rays: u64,
+    /// That start in the mesh's box: the structure was walked.
+    pub starts_inside: u64,
     /// Whose line passes the mesh's box by.
     pub beside: u64,
     /// Whose shaft is empty: the mesh was skipped.
@@ -452,7 +456,9 @@ impl LineSpaceUse {
     pub fn joined(self, other: Self) -> Self {
         Self {
             meshes: self.meshes.max(other.meshes),
+            asked: self.asked.max(other.asked),
             rays: self.rays + other.rays,
+            starts_inside: self.starts_inside + other.starts_inside,
             beside: self.beside + other.beside,
             empty: self.empty + other.empty,
             opaque: self.opaque + other.opaque,

@@ -7,7 +7,7 @@ mod validate;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-pub use line_space::{BouncePolicy, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
+pub use line_space::{Ask, BouncePolicy, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use lightshaft_api::job::{CacheSource, Metrics, Phase, TaskWork};
 use lightshaft_api::lease::RetryClass;
 use lightshaft_api::settings::{
-    Acceleration, AovName, CameraChoice, DeviceChoice, Environment, EnvironmentMap, Integrator, LineSpace,
+    Acceleration, AovName, Ask, CameraChoice, DeviceChoice, Environment, EnvironmentMap, Integrator, LineSpace,
     LineSpaceBuilder, LineSpacePayload, OnOverBudget, RenderSettings, StructureKind,
 };
 use lightshaft_engine::film::{encode_exr, read_environment};
@@ -353,7 +353,7 @@ fn with_line_space(line_space: LineSpace) -> RenderSettings {
 
 /// Every payload that can be asked for, coarse.
 fn payloads() -> Vec<LineSpace> {
-    let payload = |payload, n| LineSpace { payload, n: Some(n), ..LineSpace::default() };
+    let payload = |payload, n| LineSpace { payload, n: Some(n), ask: Ask::Always, ..LineSpace::default() };
     let binary = |builder| LineSpace { builder: Some(builder), ..payload(LineSpacePayload::Binary, 4) };
     let classes = |n, hierarchical| LineSpace {
         hierarchical: Some(hierarchical),
@@ -391,8 +391,11 @@ fn with_exact_every_payload_gives_the_picture_of_the_structure_alone_on_every_sc
                 assert!(pixels(&outputs) == pixels(&expected), "{kind}: {line_space:?} changes the picture");
                 let used = outputs.metrics.line_space.expect("a job with line spaces");
                 answered += used.empty + used.opaque;
-                assert_eq!(used.rays, used.beside + used.empty + used.opaque + used.mixed + used.too_far);
-                assert_eq!(used.meshes > 0, outputs.metrics.line_space_bytes > 0);
+                assert_eq!(
+                    used.rays,
+                    used.starts_inside + used.beside + used.empty + used.opaque + used.mixed + used.too_far
+                );
+                assert_eq!((used.meshes > 0, used.asked), (outputs.metrics.line_space_bytes > 0, used.meshes));
                 assert_eq!(outputs.metrics.structure_bytes, expected.metrics.structure_bytes, "told apart");
             }
         }
@@ -415,6 +418,9 @@ fn a_second_job_finds_every_line_space() {
     let second = run(&executor, &TaskWork::Frame, &RenderSettings { width: 25, ..settings }, &inputs);
     assert!(second.metrics.cache.iter().all(|report| report.source == CacheSource::Memory));
     assert_eq!(spaces(&second).len(), spaces(&first).len());
+    // Where it does not pay to ask them they are kept all the same.
+    let used = first.metrics.line_space.expect("a job with line spaces");
+    assert!(used.meshes > 0 && used.asked <= used.meshes && (used.asked > 0) == (used.rays > 0), "{used:?}");
 }
 
 #[test]

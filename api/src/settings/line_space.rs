@@ -38,6 +38,7 @@ pub struct LineSpace {
     /// What all Line Spaces of the job may take, 1024 and more; 4 GiB when null.
     pub job_budget_bytes: Option<u64>,
     pub on_over_budget: OnOverBudget,
+    pub ask: Ask,
 }
 
 /// What is stored for a shaft: all lines between two patches.
@@ -79,6 +80,16 @@ pub enum OnOverBudget {
     Shrink,
     /// The mesh has none.
     Skip,
+}
+
+/// Which Line Spaces are asked before the structure of their mesh is walked. The answers are the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Ask {
+    /// Those that a short measurement finds to be faster than the structure.
+    #[default]
+    WhereItPays,
+    Always,
 }
 
 /// What Line Spaces are used for.

@@ -263,6 +263,7 @@ fn the_form_offers_every_value_of_every_choice() {
         ("/settings/acceleration/line_space/payload", "LineSpacePayload"),
         ("/settings/acceleration/line_space/builder", "LineSpaceBuilder"),
         ("/settings/acceleration/line_space/on_over_budget", "OnOverBudget"),
+        ("/settings/acceleration/line_space/ask", "Ask"),
         ("/settings/lights/0/kind", "LightKind"),
     ];
     for (pointer, schema) in choices {

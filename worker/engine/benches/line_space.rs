@@ -77,7 +77,10 @@ fn measure(name: &str, scene: &Scene) {
     let plain = SceneAccel::build(structures.clone(), &placements);
     let scene_of = || SceneAccel::build(structures.clone(), &placements);
     let gated = || scene_of().with_line_spaces(spaces.clone()).expect("one each");
-    let mut configurations = vec![("box shafts", gated())];
+    let (seconds, measured) = timed(|| gated().asking_where_it_pays());
+    let (asked, all) = (measured.asked_line_spaces(), spaces.len());
+    println!("  measured in {seconds:.4} s: {asked} of {all} meshes are asked");
+    let mut configurations = vec![("box shafts", gated()), ("box shafts where they pay", measured)];
     let chosen = values("--surface");
     let wants = |kind: &str| chosen.is_empty() || chosen.iter().any(|chosen| chosen == kind);
     if wants("proven") {
@@ -276,15 +279,17 @@ fn compare(kind: &str, plain: &SceneAccel, configurations: &[(&str, SceneAccel)]
             per_ray(gates.rays()),
             per_ray(gates.look_ups()),
         );
-        for (class, counts) in [
-            ("full chord", gates.full_chord),
-            ("ends inside", gates.ends_inside),
-            ("starts inside", gates.starts_inside),
-            ("own mesh", gates.own_mesh),
-        ] {
+        for (class, counts) in
+            [("full chord", gates.full_chord), ("ends inside", gates.ends_inside), ("own mesh", gates.own_mesh)]
+        {
             let [empty, opaque, mixed] = counts.map(per_ray);
             println!("      {class:14} a ray: EMPTY {empty:.3}  OPAQUE {opaque:.3}  MIXED {mixed:.3}");
         }
-        println!("      beside {:.3}, too far {:.4}", per_ray(gates.beside), per_ray(gates.too_far));
+        println!(
+            "      starts inside {:.3}, beside {:.3}, too far {:.4}",
+            per_ray(gates.starts_inside),
+            per_ray(gates.beside),
+            per_ray(gates.too_far)
+        );
     }
 }

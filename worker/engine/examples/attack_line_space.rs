@@ -126,7 +126,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         counted += counters;
     }
     let [empty, opaque, _] = counted.full_chord;
-    let decided = empty + opaque + counted.ends_inside[0] + counted.starts_inside[0];
+    let decided = empty + opaque + counted.ends_inside[0];
     println!("{all} rays, {decided} decided by a shaft, {differing} wrong");
     Ok(())
 }

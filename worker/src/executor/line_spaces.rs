@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 
 use lightshaft_api::job::CacheReport;
-use lightshaft_api::settings::OnOverBudget;
+use lightshaft_api::settings::{Ask, OnOverBudget};
 use lightshaft_engine::accel::Structure;
 use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams};
 use lightshaft_engine::scene::{Mesh, Scene};
@@ -22,6 +22,7 @@ pub(super) struct ObtainedLineSpaces {
     pub spaces: Vec<Option<Arc<LineSpace>>>,
     pub reports: Vec<CacheReport>,
     pub warnings: Vec<String>,
+    pub ask: Ask,
 }
 
 impl Executor {
@@ -61,7 +62,7 @@ impl Executor {
                 (OnOverBudget::Shrink | OnOverBudget::Skip, _) => {
                     let warnings = vec![format!("no mesh has a line space: {why}")];
                     let spaces = vec![None; structures.len()];
-                    return Ok(ObtainedLineSpaces { spaces, reports: Vec::new(), warnings });
+                    return Ok(ObtainedLineSpaces { spaces, warnings, ..ObtainedLineSpaces::default() });
                 }
             }
         }
@@ -83,7 +84,7 @@ impl Executor {
             Structure::Bvh(_) | Structure::Cells(_) => None,
         });
         let asked: Vec<Option<(&Mesh, LineSpaceRecipe<'_>)>> = meshes.collect();
-        let mut all = ObtainedLineSpaces::default();
+        let mut all = ObtainedLineSpaces { ask: wanted.ask, ..ObtainedLineSpaces::default() };
         for obtained in self.obtain_all(task, &asked)? {
             all.spaces.push(obtained.map(|Obtained { structure, report, warnings }| {
                 all.reports.push(report);

@@ -113,7 +113,9 @@ fn add(metrics: &mut Metrics, stats: &PassStats) {
     if let Some(line_space) = metrics.line_space {
         metrics.line_space = Some(line_space.joined(LineSpaceUse {
             meshes: line_space.meshes,
+            asked: line_space.asked,
             rays: gates.rays(),
+            starts_inside: gates.starts_inside,
             beside: gates.beside,
             empty: of(Class::Empty),
             opaque: of(Class::Opaque),

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use lightshaft_api::job::{CacheReport, LineSpaceUse, Metrics, Phase};
-use lightshaft_api::settings::{self as api, DeviceChoice};
+use lightshaft_api::settings::{self as api, Ask, DeviceChoice};
 use lightshaft_engine::accel::{BuildError, SceneAccel, Structure, StructureParams, flatten};
 use lightshaft_engine::device::DeviceError;
 use lightshaft_engine::film::read_environment;
@@ -145,7 +145,11 @@ impl Executor {
                     Some(obtained) => {
                         metrics.cache.extend(obtained.reports);
                         obtained.warnings.into_iter().for_each(|warning| task.warn(metrics, warning));
-                        accel.with_line_spaces(obtained.spaces).map_err(TaskError::worker)?
+                        let accel = accel.with_line_spaces(obtained.spaces).map_err(TaskError::worker)?;
+                        match obtained.ask {
+                            Ask::Always => accel,
+                            Ask::WhereItPays => accel.asking_where_it_pays(),
+                        }
                     }
                 }
             }
@@ -294,7 +298,8 @@ fn count_structures(metrics: &mut Metrics, packed: &PackedScene) {
     metrics.structure_nodes = (nodes + packed.accel.top().nodes.len()) as u64;
     let spaces = packed.accel.line_spaces();
     let meshes = spaces.iter().flatten().count() as u64;
-    metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, ..LineSpaceUse::default() });
+    let asked = packed.accel.asked_line_spaces() as u64;
+    metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, asked, ..LineSpaceUse::default() });
     metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
 }
 

@@ -1,6 +1,6 @@
 //! Which structures and Line Spaces a job asks for.
 
-use lightshaft_api::settings::{self as api, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
+use lightshaft_api::settings::{self as api, Ask, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
 use lightshaft_engine::accel::line_space::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
 use lightshaft_engine::accel::{
     BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Quality, StructureParams,
@@ -34,6 +34,7 @@ pub struct LineSpaces {
     pub mesh_budget_bytes: u64,
     pub job_budget_bytes: u64,
     pub on_over_budget: OnOverBudget,
+    pub ask: Ask,
 }
 
 impl LineSpaces {
@@ -60,6 +61,7 @@ impl LineSpaces {
             mesh_budget_bytes: line_space.mesh_budget_bytes.unwrap_or(DEFAULT_MESH_BUDGET_BYTES),
             job_budget_bytes: line_space.job_budget_bytes.unwrap_or(DEFAULT_JOB_BUDGET_BYTES),
             on_over_budget: line_space.on_over_budget,
+            ask: line_space.ask,
         }
     }
 }

@@ -113,6 +113,7 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
     };
     let budget_choices = ["refuse", "shrink", "skip"];
     let over_budget = options(&[l.on_over_budget], &budget_choices, &[("shrink", "Shrink it"), ("skip", "Do without")]);
+    let asks = options(&[l.ask], &["where_it_pays", "always"], &[("where_it_pays", "Where it is found to pay")]);
     let policies = options(&["exact"], &["exact"], &[("exact", "Exact: the same picture")]);
     let field = |name: &str, label, unit, help, control| {
         Field::new(&format!("/settings/acceleration/line_space/{name}"), label, unit, help, control)
@@ -168,6 +169,11 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
         .when(PAYLOAD, ANY_PAYLOAD, &current),
         field("job_budget_bytes", "Most for all", "bytes", "Empty: 4 GiB.", perhaps(l.job_budget_bytes, "1024", ""))
             .when(PAYLOAD, ANY_PAYLOAD, &current),
+        field("ask", "Ask them", "", "The picture is the same.", Control::Choice { options: asks }).when(
+            PAYLOAD,
+            ANY_PAYLOAD,
+            &current,
+        ),
         field("on_over_budget", "Over a budget", "", "", Control::Choice { options: over_budget }).when(
             PAYLOAD,
             ANY_PAYLOAD,

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use glam::Affine3A;
+use rayon::prelude::*;
 
 use super::compressed::CompressedBvh;
 use super::flat::{NamedSink, Names};
-use super::line_space::{Gates, LineSpace, SurfaceShafts};
+use super::line_space::{Gates, LineSpace, SurfaceShafts, pays};
 use super::two_level::TwoLevel;
 use super::{Bvh2, Structure};
 use crate::scene::MeshHash;
@@ -88,7 +89,22 @@ impl SceneAccel {
     /// In a flat scene, when there are more or fewer than structures, or one is for another mesh.
     pub fn with_line_spaces(self, line_spaces: Vec<Option<Arc<LineSpace>>>) -> Result<Self, String> {
         self.check_gates("line spaces", line_spaces.iter().map(|space| space.as_ref().map(|space| space.mesh())))?;
-        Ok(Self { gates: Gates { line_spaces, ..self.gates }, ..self })
+        let asked = line_spaces.clone();
+        Ok(Self { gates: Gates { line_spaces, asked, ..self.gates }, ..self })
+    }
+
+    /// The same scene, in which only those Line Spaces are asked that are found, by a short measurement, to be faster than the
+    /// structures behind them.
+    pub fn asking_where_it_pays(self) -> Self {
+        let pairs = self.gates.line_spaces.par_iter().zip(&self.structures);
+        let kept = |(space, structure): (&Option<Arc<LineSpace>>, &Structure)| {
+            space.clone().filter(|space| pays(space, structure, self.kernels))
+        };
+        let mut asked: Vec<_> = pairs.map(kept).collect();
+        if asked.iter().all(Option::is_none) {
+            asked.clear();
+        }
+        Self { gates: Gates { asked, ..self.gates }, ..self }
     }
 
     /// The same scene, with surface shafts that [`Self::occluded_from`] asks: one, or none, for each of
@@ -161,7 +177,12 @@ impl SceneAccel {
         match &self.form {
             Form::TwoLevel(top) => {
                 let scene = top.scene(&self.structures, &self.gates, self.kernels);
-                scene.walk::<ANY>(ray, filter, sink, counters)
+                // Scenes without gates go a way that knows nothing of them.
+                if self.gates.asked.is_empty() {
+                    scene.walk::<ANY, false>(ray, filter, sink, counters)
+                } else {
+                    scene.walk::<ANY, true>(ray, filter, sink, counters)
+                }
             }
             Form::Flat(names) => {
                 let structure = &self.structures[0];
@@ -204,6 +225,11 @@ impl SceneAccel {
     /// The Line Spaces that the scene was given: none at all, or one, or none, for each structure.
     pub fn line_spaces(&self) -> &[Option<Arc<LineSpace>>] {
         &self.gates.line_spaces
+    }
+
+    /// How many Line Spaces are asked before the structure of their mesh is walked.
+    pub fn asked_line_spaces(&self) -> usize {
+        self.gates.asked.iter().flatten().count()
     }
 
     /// Whether one structure holds all instances.

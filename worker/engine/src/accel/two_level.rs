@@ -101,9 +101,9 @@ pub(super) struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// `ANY`: the sink stops at any hit, so that a gate may answer for it.
+    /// `ANY`: the sink stops at any hit, so that a gate may answer for it. `GATED`: there are Line Spaces to ask.
     #[inline(always)]
-    pub(super) fn walk<const ANY: bool>(
+    pub(super) fn walk<const ANY: bool, const GATED: bool>(
         &self,
         ray: &Ray,
         filter: &dyn HitFilter,
@@ -111,8 +111,8 @@ impl Scene<'_> {
         counters: &mut Counters,
     ) -> bool {
         match self.top.only {
-            Some(only) => self.walk_instance::<ANY>(only, ray, ray, filter, sink, counters),
-            None => self.walk_top::<ANY>(None, ray, filter, sink, counters),
+            Some(only) => self.walk_instance::<ANY, GATED>(only, ray, ray, filter, sink, counters),
+            None => self.walk_top::<ANY, GATED>(None, ray, filter, sink, counters),
         }
     }
 
@@ -126,7 +126,7 @@ impl Scene<'_> {
         counters: &mut Counters,
     ) -> bool {
         let Some(instance) = self.top.instances.get(start.instance as usize) else {
-            return self.walk::<true>(ray, filter, sink, counters);
+            return self.walk::<true, true>(ray, filter, sink, counters);
         };
         let object_ray = if self.top.only.is_some() { *ray } else { instance.to_object(ray, ray.t_max) };
         let verdict = match self.gates.surface(instance.structure) {
@@ -143,12 +143,12 @@ impl Scene<'_> {
             }
         };
         let is_all = self.top.only.is_some();
-        stopped || (!is_all && self.walk_top::<true>(Some(start.instance), ray, filter, sink, counters))
+        stopped || (!is_all && self.walk_top::<true, true>(Some(start.instance), ray, filter, sink, counters))
     }
 
     /// Walks all instances but one.
     #[inline(always)]
-    fn walk_top<const ANY: bool>(
+    fn walk_top<const ANY: bool, const GATED: bool>(
         &self,
         without: Option<u32>,
         ray: &Ray,
@@ -158,14 +158,19 @@ impl Scene<'_> {
     ) -> bool {
         let Some(world_ray) = ObjectRay::new(ray, &self.top.bounds) else { return false };
         let counted = Counters::default();
-        let mut visitor = InstanceVisitor::<_, ANY> { scene: *self, without, ray, filter, sink, counters: counted };
+        let mut visitor =
+            InstanceVisitor::<_, ANY, GATED> { scene: *self, without, ray, filter, sink, counters: counted };
         let stopped = self.kernels.walk_top(&self.top.wide_top.nodes, &world_ray, &mut visitor, counters);
-        *counters += visitor.counters;
+        if GATED {
+            *counters += visitor.counters;
+        } else {
+            counters.add_tests(&visitor.counters);
+        }
         stopped
     }
 
     #[inline(always)]
-    fn walk_instance<const ANY: bool>(
+    fn walk_instance<const ANY: bool, const GATED: bool>(
         &self,
         number: u32,
         ray: &Ray,
@@ -175,7 +180,7 @@ impl Scene<'_> {
         counters: &mut Counters,
     ) -> bool {
         let instance = &self.top.instances[number as usize];
-        if let Some(space) = self.gates.line_space(instance.structure) {
+        if GATED && let Some(space) = self.gates.asked(instance.structure) {
             match space.verdict(object_ray, &mut counters.gates) {
                 Verdict::Miss => return false,
                 // The filter may let the ray pass through what is there.
@@ -280,7 +285,7 @@ fn world_bounds(cut: &[Aabb], transform: &Affine3A) -> Aabb {
     Aabb { min: bounds.min - slack, max: bounds.max + slack }
 }
 
-struct InstanceVisitor<'a, S, const ANY: bool> {
+struct InstanceVisitor<'a, S, const ANY: bool, const GATED: bool> {
     scene: Scene<'a>,
     /// An instance that has been dealt with.
     without: Option<u32>,
@@ -290,7 +295,7 @@ struct InstanceVisitor<'a, S, const ANY: bool> {
     counters: Counters,
 }
 
-impl<S: Sink, const ANY: bool> LeafVisitor for InstanceVisitor<'_, S, ANY> {
+impl<S: Sink, const ANY: bool, const GATED: bool> LeafVisitor for InstanceVisitor<'_, S, ANY, GATED> {
     #[inline(always)]
     fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
         for entry in entries {
@@ -299,8 +304,9 @@ impl<S: Sink, const ANY: bool> LeafVisitor for InstanceVisitor<'_, S, ANY> {
                 continue;
             }
             let object_ray = self.scene.top.instances[number as usize].to_object(self.ray, self.sink.t_limit());
-            let (ray, filter) = (self.ray, self.filter);
-            if self.scene.walk_instance::<ANY>(number, ray, &object_ray, filter, self.sink, &mut self.counters) {
+            let (scene, ray, filter) = (self.scene, self.ray, self.filter);
+            let counters = &mut self.counters;
+            if scene.walk_instance::<ANY, GATED>(number, ray, &object_ray, filter, self.sink, counters) {
                 return true;
             }
         }

@@ -54,10 +54,18 @@ pub struct Counters {
     pub gates: GateCounters,
 }
 
-impl std::ops::AddAssign for Counters {
-    fn add_assign(&mut self, other: Self) {
+impl Counters {
+    /// Adds the tests alone, of a walk that asked no gate.
+    #[inline(always)]
+    pub(crate) fn add_tests(&mut self, other: &Self) {
         self.box_tests += other.box_tests;
         self.triangle_tests += other.triangle_tests;
+    }
+}
+
+impl std::ops::AddAssign for Counters {
+    fn add_assign(&mut self, other: Self) {
+        self.add_tests(&other);
         self.gates += other.gates;
     }
 }

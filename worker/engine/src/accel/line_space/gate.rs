@@ -8,14 +8,17 @@ use crate::trace::Ray;
 /// What a scene may ask before it walks the structure of a mesh. Each list is empty, or has an entry for each structure.
 #[derive(Debug, Default)]
 pub(crate) struct Gates {
+    /// All that the scene was given.
     pub line_spaces: Vec<Option<Arc<LineSpace>>>,
+    /// Those that are asked.
+    pub asked: Vec<Option<Arc<LineSpace>>>,
     pub surfaces: Vec<Option<Arc<SurfaceShafts>>>,
 }
 
 impl Gates {
     #[inline(always)]
-    pub(crate) fn line_space(&self, structure: u32) -> Option<&LineSpace> {
-        self.line_spaces.get(structure as usize)?.as_deref()
+    pub(crate) fn asked(&self, structure: u32) -> Option<&LineSpace> {
+        self.asked.get(structure as usize)?.as_deref()
     }
 
     #[inline(always)]
@@ -38,12 +41,12 @@ pub(crate) enum Verdict {
 pub struct GateCounters {
     /// Rays that cross the whole box, by the class of their shaft: EMPTY, OPAQUE, MIXED.
     pub full_chord: [u64; 3],
-    /// Rays that start outside of the box and may end in it, likewise.
+    /// Rays of which a part may lie outside the box or end in it, likewise.
     pub ends_inside: [u64; 3],
-    /// Rays that start inside, likewise.
-    pub starts_inside: [u64; 3],
     /// Rays that start on the mesh itself and asked its surface shafts, likewise.
     pub own_mesh: [u64; 3],
+    /// Rays that start in the box: most such shafts are not empty, so they are not looked up.
+    pub starts_inside: u64,
     /// Rays that pass the box by.
     pub beside: u64,
     /// Rays from too far away to be located.
@@ -53,20 +56,17 @@ pub struct GateCounters {
 impl GateCounters {
     /// Rays that asked.
     pub fn rays(&self) -> u64 {
-        self.look_ups() + self.beside + self.too_far
+        self.look_ups() + self.starts_inside + self.beside + self.too_far
     }
 
     /// Rays whose shaft is of a class.
     pub fn of_class(&self, class: Class) -> u64 {
-        [self.full_chord, self.ends_inside, self.starts_inside, self.own_mesh]
-            .map(|kind| kind[class as usize])
-            .iter()
-            .sum()
+        [self.full_chord, self.ends_inside, self.own_mesh].map(|kind| kind[class as usize]).iter().sum()
     }
 
     /// Rays whose shaft was looked up.
     pub fn look_ups(&self) -> u64 {
-        [self.full_chord, self.ends_inside, self.starts_inside, self.own_mesh].iter().flatten().sum()
+        [self.full_chord, self.ends_inside, self.own_mesh].iter().flatten().sum()
     }
 }
 
@@ -75,9 +75,9 @@ impl std::ops::AddAssign for GateCounters {
         for k in 0..3 {
             self.full_chord[k] += other.full_chord[k];
             self.ends_inside[k] += other.ends_inside[k];
-            self.starts_inside[k] += other.starts_inside[k];
             self.own_mesh[k] += other.own_mesh[k];
         }
+        self.starts_inside += other.starts_inside;
         self.beside += other.beside;
         self.too_far += other.too_far;
     }
@@ -90,6 +90,10 @@ impl LineSpace {
         let Some((grid, shafts)) = &self.content else { return Verdict::Unknown };
         let is_valid = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min.max(0.0) < ray.t_max;
         if !is_valid {
+            return Verdict::Unknown;
+        }
+        if grid.holds(ray.origin) {
+            counters.starts_inside += 1;
             return Verdict::Unknown;
         }
         let chord = match grid.locate(ray) {
@@ -114,15 +118,13 @@ impl LineSpace {
             }
             _ => return Verdict::Unknown,
         };
-        let kind = match (chord.starts_outside, chord.reaches_exit) {
-            (true, true) => &mut counters.full_chord,
-            (true, false) => &mut counters.ends_inside,
-            (false, _) => &mut counters.starts_inside,
-        };
+        // A ray that starts outside may still begin inside, by its `t_min`.
+        let is_whole = chord.starts_outside && chord.reaches_exit;
+        let kind = if is_whole { &mut counters.full_chord } else { &mut counters.ends_inside };
         kind[class as usize] += 1;
         match class {
             Class::Empty => Verdict::Miss,
-            Class::Opaque if chord.starts_outside && chord.reaches_exit => Verdict::Hit,
+            Class::Opaque if is_whole => Verdict::Hit,
             _ => Verdict::Unknown,
         }
     }

@@ -26,6 +26,7 @@ mod surface_rows;
 #[cfg(test)]
 mod tests;
 mod voxels;
+mod worth;
 
 use std::sync::atomic::AtomicBool;
 
@@ -37,6 +38,7 @@ pub use mask::MAX_MASK_N;
 pub use params::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
 pub use shaft::{Chord, Location, Patch, ShaftGrid};
 pub use surface::{Evidence, SurfaceShaftParams, SurfaceShafts};
+pub(crate) use worth::pays;
 
 use super::{BuildError, CorruptStructure, MeshStructure, StructureKey};
 use crate::scene::{Mesh, MeshHash};

@@ -7,7 +7,7 @@
 //! rounded once, so `shaders/shared/shaft.wgsl` comes to the same shaft bit for bit: a quotient only guesses where to
 //! compare (WGSL's division is not exact), and no product is added to anything (so none can be fused).
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use crate::scene::Aabb;
 use crate::trace::Ray;
@@ -239,6 +239,14 @@ impl ShaftGrid {
     /// Unit cubes per unit of length.
     pub fn unit_scale(&self) -> DVec3 {
         DVec3::from_array(self.scale.map(f64::from)) / f64::from(self.n)
+    }
+
+    /// Whether a point is in the padded box. False for a NaN.
+    #[inline]
+    pub fn holds(&self, point: Vec3) -> bool {
+        let point = point.to_array();
+        let n = self.n as f32;
+        (0..3).all(|k| (0.0..=n).contains(&((point[k] - self.min[k]) * self.scale[k])))
     }
 
     /// Where the ray, which must be finite, crosses the box.
