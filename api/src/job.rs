@@ -442,6 +442,8 @@ pub struct LineSpaceUse {
     pub opaque: u64,
     /// Of whose shaft nothing is certain: the structure was walked.
     pub mixed: u64,
+    /// Of all those, the ones that policy `approximate_occlusion` answered without proof.
+    pub approximated: u64,
     /// That start too far away for single precision: the structure was walked.
     pub too_far: u64,
 }
@@ -463,6 +465,7 @@ impl LineSpaceUse {
             empty: self.empty + other.empty,
             opaque: self.opaque + other.opaque,
             mixed: self.mixed + other.mixed,
+            approximated: self.approximated + other.approximated,
             too_far: self.too_far + other.too_far,
         }
     }

@@ -8,7 +8,7 @@ use lightshaft_api::job::{CacheSource, Metrics, Phase, TaskWork};
 use lightshaft_api::lease::RetryClass;
 use lightshaft_api::settings::{
     Acceleration, AovName, Ask, CameraChoice, DeviceChoice, Environment, EnvironmentMap, Integrator, LineSpace,
-    LineSpaceBuilder, LineSpacePayload, OnOverBudget, RenderSettings, StructureKind,
+    LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy, RenderSettings, StructureKind,
 };
 use lightshaft_engine::film::{encode_exr, read_environment};
 use lightshaft_engine::scene::{KINDS, Limits, Params, Source, generate};
@@ -449,4 +449,37 @@ fn line_spaces_keep_to_their_budgets() {
     assert_eq!(skipped.line_space.unwrap().meshes, whole.line_space.unwrap().meshes - 1);
     let none = with(Some(2000), None, OnOverBudget::Skip).unwrap().metrics;
     assert!(none.line_space_bytes == 0 && none.warnings[0].contains("no mesh has a line space"), "{:?}", none.warnings);
+}
+
+/// Root of the mean squared difference, over pixels and channels.
+fn rmse(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
+    let squares = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| f64::from(a - b).powi(2));
+    (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
+}
+
+#[test]
+fn approximate_occlusion_comes_near_the_picture_and_nearer_with_more_patches() {
+    let (executor, inputs) = (executor(), small_scene("forest"));
+    let ao = |acceleration| RenderSettings {
+        integrator: Integrator::Ao,
+        ao_distance: Some(1e6),
+        spp: 16,
+        acceleration,
+        ..with_line_space(LineSpace::default())
+    };
+    let expected = pixels(&run(&executor, &TaskWork::Frame, &ao(Acceleration::default()), &inputs));
+    let error = |n| {
+        let line_space = Some(LineSpace { n: Some(n), ..LineSpace::default() });
+        let policy = Policy::ApproximateOcclusion;
+        let outputs = run(
+            &executor,
+            &TaskWork::Frame,
+            &ao(Acceleration { line_space, policy, ..Acceleration::default() }),
+            &inputs,
+        );
+        assert!(outputs.metrics.line_space.expect("a job with line spaces").approximated > 0);
+        rmse(&pixels(&outputs), &expected)
+    };
+    let (coarse, fine) = (error(4), error(32));
+    assert!(fine > 0.0 && fine < 0.8 * coarse && fine < 0.1, "{coarse} with 4 patches, {fine} with 32");
 }

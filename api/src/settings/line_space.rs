@@ -82,7 +82,7 @@ pub enum OnOverBudget {
     Skip,
 }
 
-/// Which Line Spaces are asked before the structure of their mesh is walked. The answers are the same.
+/// Which Line Spaces policy `exact` asks before the structure of their mesh is walked. The answers are the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Ask {
@@ -99,7 +99,8 @@ pub enum Policy {
     /// Only for what they prove: the picture is that of the structure alone, bit for bit.
     #[default]
     Exact,
-    /// Not available yet: shadow and ambient-occlusion rays end at shafts that hold something.
+    /// Shadow and ambient-occlusion rays that cross the whole box of a mesh are blocked by every shaft that holds something;
+    /// with payload `coverage`, with the probability that it gives.
     ApproximateOcclusion,
     /// Not available yet: as that, where an object is far or small enough.
     Adaptive,
@@ -120,17 +121,19 @@ pub enum BouncePolicy {
 }
 
 /// Policies that are available.
-const AVAILABLE: &str = "exact is";
+const AVAILABLE: &str = "exact and approximate_occlusion are";
 
 impl Acceleration {
     /// What is wrong with Line Spaces and policy, with pointers below `prefix`.
     pub(super) fn validate_line_space(&self, device: DeviceChoice, prefix: &str, errors: &mut Vec<FieldError>) {
         let mut c = Checker { prefix, errors };
         c.check(
-            self.policy == Policy::Exact,
+            matches!(self.policy, Policy::Exact | Policy::ApproximateOcclusion),
             "policy",
             &format!("{} is not available yet: {AVAILABLE}", self.policy.name()),
         );
+        let needs_none = self.policy != Policy::ApproximateOcclusion;
+        c.check(needs_none || self.line_space.is_some(), "policy", "approximate_occlusion needs a line_space");
         let Some(line_space) = &self.line_space else { return };
         c.check(
             self.structure == StructureKind::TwoLevel,
@@ -290,18 +293,22 @@ mod tests {
 
     #[test]
     fn policies_that_are_not_there_yet_say_which_are() {
-        for policy in [
-            json!("approximate_occlusion"),
-            json!("adaptive"),
-            json!("representative"),
-            json!({ "per_bounce": ["exact", "representative"] }),
-        ] {
+        for policy in [json!("adaptive"), json!("representative"), json!({ "per_bounce": ["exact", "representative"] })]
+        {
             let settings = json!({ "acceleration": { "line_space": {}, "policy": policy } });
             let settings: RenderSettings = serde_json::from_value(settings).unwrap();
             let [error] = &settings.validate("/settings")[..] else { panic!("one error for {policy}") };
             assert_eq!(error.pointer, "/settings/acceleration/policy");
-            assert!(error.detail.ends_with("is not available yet: exact is"), "{}", error.detail);
+            assert!(
+                error.detail.ends_with("is not available yet: exact and approximate_occlusion are"),
+                "{}",
+                error.detail
+            );
         }
         assert!(serde_json::from_value::<RenderSettings>(json!({ "acceleration": { "policy": "quick" } })).is_err());
+        let approximate =
+            |line_space| json!({ "acceleration": { "line_space": line_space, "policy": "approximate_occlusion" } });
+        assert_eq!(wrong(approximate(json!({ "payload": "coverage" }))), [""; 0]);
+        assert_eq!(wrong(approximate(Value::Null)), ["policy"]);
     }
 }

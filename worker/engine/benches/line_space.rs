@@ -80,7 +80,9 @@ fn measure(name: &str, scene: &Scene) {
     let (seconds, measured) = timed(|| gated().asking_where_it_pays());
     let (asked, all) = (measured.asked_line_spaces(), spaces.len());
     println!("  measured in {seconds:.4} s: {asked} of {all} meshes are asked");
-    let mut configurations = vec![("box shafts", gated()), ("box shafts where they pay", measured)];
+    let approximate = gated().approximating_occlusion();
+    let mut configurations =
+        vec![("box shafts", gated()), ("box shafts where they pay", measured), ("approximate occlusion", approximate)];
     let chosen = values("--surface");
     let wants = |kind: &str| chosen.is_empty() || chosen.iter().any(|chosen| chosen == kind);
     if wants("proven") {
@@ -286,7 +288,8 @@ fn compare(kind: &str, plain: &SceneAccel, configurations: &[(&str, SceneAccel)]
             println!("      {class:14} a ray: EMPTY {empty:.3}  OPAQUE {opaque:.3}  MIXED {mixed:.3}");
         }
         println!(
-            "      starts inside {:.3}, beside {:.3}, too far {:.4}",
+            "      approximated {:.3}, starts inside {:.3}, beside {:.3}, too far {:.4}",
+            per_ray(gates.approximated),
             per_ray(gates.starts_inside),
             per_ray(gates.beside),
             per_ray(gates.too_far)

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use lightshaft_api::job::CacheReport;
 use lightshaft_api::settings::{Ask, OnOverBudget};
-use lightshaft_engine::accel::Structure;
 use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams};
+use lightshaft_engine::accel::{SceneAccel, Structure};
 use lightshaft_engine::scene::{Mesh, Scene};
 
 use super::{Executor, Task, TaskError};
@@ -22,7 +22,16 @@ pub(super) struct ObtainedLineSpaces {
     pub spaces: Vec<Option<Arc<LineSpace>>>,
     pub reports: Vec<CacheReport>,
     pub warnings: Vec<String>,
-    pub ask: Ask,
+    use_for: Use,
+}
+
+/// How a scene is to use them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Use {
+    #[default]
+    WhereItPays,
+    Always,
+    Approximately,
 }
 
 impl Executor {
@@ -84,7 +93,7 @@ impl Executor {
             Structure::Bvh(_) | Structure::Cells(_) => None,
         });
         let asked: Vec<Option<(&Mesh, LineSpaceRecipe<'_>)>> = meshes.collect();
-        let mut all = ObtainedLineSpaces { ask: wanted.ask, ..ObtainedLineSpaces::default() };
+        let mut all = ObtainedLineSpaces { use_for: Use::of(wanted), ..ObtainedLineSpaces::default() };
         for obtained in self.obtain_all(task, &asked)? {
             all.spaces.push(obtained.map(|Obtained { structure, report, warnings }| {
                 all.reports.push(report);
@@ -92,7 +101,7 @@ impl Executor {
                 structure
             }));
         }
-        if !params.is_conservative() {
+        if !params.is_conservative() && !wanted.approximate {
             all.warnings.push(format!(
                 "line spaces of sampled lines ({}) prove nothing: policy exact asks them nothing",
                 params.canonical()
@@ -105,7 +114,27 @@ impl Executor {
     }
 }
 
+impl Use {
+    fn of(wanted: &LineSpaces) -> Self {
+        match (wanted.approximate, wanted.ask) {
+            (true, _) => Self::Approximately,
+            (false, Ask::Always) => Self::Always,
+            (false, Ask::WhereItPays) => Self::WhereItPays,
+        }
+    }
+}
+
 impl ObtainedLineSpaces {
+    /// The scene, with them.
+    pub(super) fn given_to(self, accel: SceneAccel) -> Result<SceneAccel, String> {
+        let accel = accel.with_line_spaces(self.spaces)?;
+        Ok(match self.use_for {
+            Use::WhereItPays => accel.asking_where_it_pays(),
+            Use::Always => accel,
+            Use::Approximately => accel.approximating_occlusion(),
+        })
+    }
+
     fn bytes(&self) -> u64 {
         self.spaces.iter().flatten().map(|space| space.bytes() as u64).sum()
     }

@@ -120,6 +120,7 @@ fn add(metrics: &mut Metrics, stats: &PassStats) {
             empty: of(Class::Empty),
             opaque: of(Class::Opaque),
             mixed: of(Class::Mixed),
+            approximated: gates.approximated,
             too_far: gates.too_far,
         }));
     }

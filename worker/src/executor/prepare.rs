@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use lightshaft_api::job::{CacheReport, LineSpaceUse, Metrics, Phase};
-use lightshaft_api::settings::{self as api, Ask, DeviceChoice};
+use lightshaft_api::settings::{self as api, DeviceChoice};
 use lightshaft_engine::accel::{BuildError, SceneAccel, Structure, StructureParams, flatten};
 use lightshaft_engine::device::DeviceError;
 use lightshaft_engine::film::read_environment;
@@ -142,14 +142,10 @@ impl Executor {
                 let accel = SceneAccel::build(structures, &pack::placements(&with_overlays));
                 match spaces {
                     None => accel,
-                    Some(obtained) => {
-                        metrics.cache.extend(obtained.reports);
-                        obtained.warnings.into_iter().for_each(|warning| task.warn(metrics, warning));
-                        let accel = accel.with_line_spaces(obtained.spaces).map_err(TaskError::worker)?;
-                        match obtained.ask {
-                            Ask::Always => accel,
-                            Ask::WhereItPays => accel.asking_where_it_pays(),
-                        }
+                    Some(mut obtained) => {
+                        metrics.cache.append(&mut obtained.reports);
+                        std::mem::take(&mut obtained.warnings).into_iter().for_each(|w| task.warn(metrics, w));
+                        obtained.given_to(accel).map_err(TaskError::worker)?
                     }
                 }
             }

@@ -1,6 +1,6 @@
 //! Which structures and Line Spaces a job asks for.
 
-use lightshaft_api::settings::{self as api, Ask, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
+use lightshaft_api::settings::{self as api, Ask, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
 use lightshaft_engine::accel::line_space::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
 use lightshaft_engine::accel::{
     BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Quality, StructureParams,
@@ -22,7 +22,8 @@ pub struct Wanted {
 impl Wanted {
     /// Of settings that have been validated.
     pub fn of(acceleration: &api::Acceleration) -> Self {
-        let line_spaces = acceleration.line_space.as_ref().map(LineSpaces::of);
+        let approximate = acceleration.policy == Policy::ApproximateOcclusion;
+        let line_spaces = acceleration.line_space.as_ref().map(|line_space| LineSpaces::of(line_space, approximate));
         Self { structures: Structures::of(acceleration), line_spaces }
     }
 }
@@ -35,10 +36,12 @@ pub struct LineSpaces {
     pub job_budget_bytes: u64,
     pub on_over_budget: OnOverBudget,
     pub ask: Ask,
+    /// Whether occlusion rays take for true what is not proven.
+    pub approximate: bool,
 }
 
 impl LineSpaces {
-    fn of(line_space: &api::LineSpace) -> Self {
+    fn of(line_space: &api::LineSpace, approximate: bool) -> Self {
         let payload = match line_space.payload {
             LineSpacePayload::Binary => Payload::Binary {
                 builder: match line_space.builder_or_default() {
@@ -62,6 +65,7 @@ impl LineSpaces {
             job_budget_bytes: line_space.job_budget_bytes.unwrap_or(DEFAULT_JOB_BUDGET_BYTES),
             on_over_budget: line_space.on_over_budget,
             ask: line_space.ask,
+            approximate,
         }
     }
 }

@@ -114,7 +114,11 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
     let budget_choices = ["refuse", "shrink", "skip"];
     let over_budget = options(&[l.on_over_budget], &budget_choices, &[("shrink", "Shrink it"), ("skip", "Do without")]);
     let asks = options(&[l.ask], &["where_it_pays", "always"], &[("where_it_pays", "Where it is found to pay")]);
-    let policies = options(&["exact"], &["exact"], &[("exact", "Exact: the same picture")]);
+    let policy_names = [
+        ("exact", "What is proven: the same picture"),
+        ("approximate_occlusion", "Approximate shadows and ambient occlusion"),
+    ];
+    let policies = options(&[&a.policy], &policy_names.map(|(name, _)| name), &policy_names);
     let field = |name: &str, label, unit, help, control| {
         Field::new(&format!("/settings/acceleration/line_space/{name}"), label, unit, help, control)
     };
@@ -131,7 +135,7 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
             "/settings/acceleration/policy",
             "Used for",
             "",
-            "Exact: only what is proven.",
+            "Approximate: where a shaft holds something, it blocks.",
             Control::Choice { options: policies },
         )
         .when(PAYLOAD, ANY_PAYLOAD, &current),

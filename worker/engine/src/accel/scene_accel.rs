@@ -117,6 +117,14 @@ impl SceneAccel {
         Ok(Self { gates: Gates { surfaces, ..self.gates }, ..self })
     }
 
+    /// The same scene, whose occlusion rays are blocked by every shaft that holds something: see
+    /// [`Self::with_line_spaces`], all of which are asked. Rays that start or end in a mesh's box, and instances with filtered hits, are
+    /// traced exactly; so are nearest hits.
+    pub fn approximating_occlusion(self) -> Self {
+        let asked = self.gates.line_spaces.clone();
+        Self { gates: Gates { asked, approximate: true, ..self.gates }, ..self }
+    }
+
     fn check_gates(&self, what: &str, meshes: impl ExactSizeIterator<Item = Option<MeshHash>>) -> Result<(), String> {
         if self.is_flat() {
             return Err(format!("{what} belong to meshes, and a flat scene has none"));

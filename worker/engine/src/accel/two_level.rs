@@ -181,7 +181,12 @@ impl Scene<'_> {
     ) -> bool {
         let instance = &self.top.instances[number as usize];
         if GATED && let Some(space) = self.gates.asked(instance.structure) {
-            match space.verdict(object_ray, &mut counters.gates) {
+            let verdict = if ANY && self.gates.approximate && !instance.filtered {
+                space.approximate_verdict(object_ray, &mut counters.gates)
+            } else {
+                space.verdict(object_ray, &mut counters.gates)
+            };
+            match verdict {
                 Verdict::Miss => return false,
                 // The filter may let the ray pass through what is there.
                 Verdict::Hit if ANY && !instance.filtered => return true,

@@ -1,5 +1,6 @@
 //! Line Spaces: shafts, payloads and what is claimed of them, against slow oracles.
 
+mod approximate;
 mod classes;
 #[path = "../common/mod.rs"]
 mod common;

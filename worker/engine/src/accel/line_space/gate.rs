@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Class, LineSpace, Location, Shafts, SurfaceShafts};
+use super::{Chord, Class, LineSpace, Location, Shafts, SurfaceShafts};
 use crate::trace::Ray;
 
 /// What a scene may ask before it walks the structure of a mesh. Each list is empty, or has an entry for each structure.
@@ -13,6 +13,8 @@ pub(crate) struct Gates {
     /// Those that are asked.
     pub asked: Vec<Option<Arc<LineSpace>>>,
     pub surfaces: Vec<Option<Arc<SurfaceShafts>>>,
+    /// Whether occlusion rays take for true what is not proven.
+    pub approximate: bool,
 }
 
 impl Gates {
@@ -47,6 +49,8 @@ pub struct GateCounters {
     pub own_mesh: [u64; 3],
     /// Rays that start in the box: most such shafts are not empty, so they are not looked up.
     pub starts_inside: u64,
+    /// Of those looked up, the ones for which more was taken for true than is proven.
+    pub approximated: u64,
     /// Rays that pass the box by.
     pub beside: u64,
     /// Rays from too far away to be located.
@@ -78,6 +82,7 @@ impl std::ops::AddAssign for GateCounters {
             self.own_mesh[k] += other.own_mesh[k];
         }
         self.starts_inside += other.starts_inside;
+        self.approximated += other.approximated;
         self.beside += other.beside;
         self.too_far += other.too_far;
     }
@@ -87,45 +92,109 @@ impl LineSpace {
     /// What is certain of a ray in the mesh's space: nothing, unless the payload is proven.
     #[inline]
     pub(crate) fn verdict(&self, ray: &Ray, counters: &mut GateCounters) -> Verdict {
-        let Some((grid, shafts)) = &self.content else { return Verdict::Unknown };
-        let is_valid = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min.max(0.0) < ray.t_max;
-        if !is_valid {
-            return Verdict::Unknown;
-        }
-        if grid.holds(ray.origin) {
-            counters.starts_inside += 1;
-            return Verdict::Unknown;
-        }
-        let chord = match grid.locate(ray) {
-            Location::Beside => {
-                counters.beside += 1;
-                return Verdict::Miss;
-            }
-            Location::TooFar => {
-                counters.too_far += 1;
-                return Verdict::Unknown;
-            }
-            Location::Through(chord) => chord,
+        let (shafts, chord) = match self.chord(ray, counters) {
+            Ok(found) => found,
+            Err(verdict) => return verdict,
         };
-        let class = match shafts {
-            Shafts::Tree(tree) => tree.class(chord.entry, chord.exit),
-            Shafts::Table(table) => table.class(chord.entry, chord.exit),
-            Shafts::Binary(binary) if self.params.is_conservative() => {
-                match binary.is_marked(chord.entry, chord.exit) {
-                    true => Class::Mixed,
-                    false => Class::Empty,
-                }
-            }
-            _ => return Verdict::Unknown,
-        };
-        // A ray that starts outside may still begin inside, by its `t_min`.
-        let is_whole = chord.starts_outside && chord.reaches_exit;
-        let kind = if is_whole { &mut counters.full_chord } else { &mut counters.ends_inside };
-        kind[class as usize] += 1;
+        let Some(class) = self.class_of(shafts, chord) else { return Verdict::Unknown };
+        count(class, chord, counters);
         match class {
             Class::Empty => Verdict::Miss,
-            Class::Opaque if is_whole => Verdict::Hit,
+            Class::Opaque if is_whole(chord) => Verdict::Hit,
             _ => Verdict::Unknown,
         }
     }
+
+    /// What is taken for true of an occlusion ray in the mesh's space: one that crosses the whole box is blocked by a shaft
+    /// that holds something (Keul 2020, section 5.4.1); of coverage, with the probability that it gives. Of other rays only
+    /// what is certain.
+    #[inline]
+    pub(crate) fn approximate_verdict(&self, ray: &Ray, counters: &mut GateCounters) -> Verdict {
+        let (shafts, chord) = match self.chord(ray, counters) {
+            Ok(found) => found,
+            Err(verdict) => return verdict,
+        };
+        if !is_whole(chord) {
+            counters.ends_inside[Class::Mixed as usize] += 1;
+            return Verdict::Unknown;
+        }
+        let class = self.class_of(shafts, chord);
+        count(class.unwrap_or(Class::Mixed), chord, counters);
+        match (class, shafts) {
+            (Some(Class::Empty), _) => return Verdict::Miss,
+            (Some(Class::Opaque), _) => return Verdict::Hit,
+            _ => counters.approximated += 1,
+        }
+        let is_blocked = match shafts {
+            Shafts::Table(_) | Shafts::Tree(_) => true,
+            Shafts::Binary(binary) => binary.is_marked(chord.entry, chord.exit),
+            Shafts::Candidates(candidates) => candidates.candidate(chord.entry, chord.exit).is_some(),
+            Shafts::Coverage(coverage) => coverage.blocked(chord.entry, chord.exit) > chance(ray),
+        };
+        if is_blocked { Verdict::Hit } else { Verdict::Miss }
+    }
+
+    /// Where the ray crosses the box; else what follows from that it does not, or that nobody looks.
+    #[inline(always)]
+    fn chord(&self, ray: &Ray, counters: &mut GateCounters) -> Result<(&Shafts, Chord), Verdict> {
+        let Some((grid, shafts)) = &self.content else { return Err(Verdict::Unknown) };
+        let is_valid = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min.max(0.0) < ray.t_max;
+        if !is_valid {
+            return Err(Verdict::Unknown);
+        }
+        if grid.holds(ray.origin) {
+            counters.starts_inside += 1;
+            return Err(Verdict::Unknown);
+        }
+        match grid.locate(ray) {
+            Location::Beside => {
+                counters.beside += 1;
+                Err(Verdict::Miss)
+            }
+            Location::TooFar => {
+                counters.too_far += 1;
+                Err(Verdict::Unknown)
+            }
+            Location::Through(chord) => Ok((shafts, chord)),
+        }
+    }
+
+    /// What is proven of a shaft, by a payload that proves anything.
+    #[inline(always)]
+    fn class_of(&self, shafts: &Shafts, Chord { entry, exit, .. }: Chord) -> Option<Class> {
+        match shafts {
+            Shafts::Tree(tree) => Some(tree.class(entry, exit)),
+            Shafts::Table(table) => Some(table.class(entry, exit)),
+            Shafts::Binary(binary) if self.params.is_conservative() => {
+                Some(if binary.is_marked(entry, exit) { Class::Mixed } else { Class::Empty })
+            }
+            Shafts::Binary(_) | Shafts::Candidates(_) | Shafts::Coverage(_) => None,
+        }
+    }
+}
+
+/// Whether the ray crosses the whole box. One that starts outside may still begin inside, by its `t_min`.
+#[inline(always)]
+fn is_whole(chord: Chord) -> bool {
+    chord.starts_outside && chord.reaches_exit
+}
+
+#[inline(always)]
+fn count(class: Class, chord: Chord, counters: &mut GateCounters) {
+    let kind = if is_whole(chord) { &mut counters.full_chord } else { &mut counters.ends_inside };
+    kind[class as usize] += 1;
+}
+
+/// A number from 0 to 1, below 1, that follows from the ray alone: so pictures do not depend on who traces it when
+/// (the finalizer of MurmurHash3 over its bits).
+#[inline]
+fn chance(ray: &Ray) -> f32 {
+    let mut hash = 0_u32;
+    for value in [ray.origin.x, ray.origin.y, ray.origin.z, ray.direction.x, ray.direction.y, ray.direction.z] {
+        hash = (hash ^ value.to_bits()).wrapping_mul(0x85eb_ca6b);
+        hash ^= hash >> 13;
+        hash = hash.wrapping_mul(0xc2b2_ae35);
+        hash ^= hash >> 16;
+    }
+    (hash >> 8) as f32 / (1 << 24) as f32
 }
