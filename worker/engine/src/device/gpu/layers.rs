@@ -64,9 +64,7 @@ impl Layers {
             ..Wave::default()
         };
         run.submit(&wave, |encoder| {
-            let mut pass = run.pass(encoder);
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(2, &self.group, &[]);
+            let mut pass = run.pass(encoder, &self.pipeline, &self.group);
             pass.dispatch_workgroups(pixels.div_ceil(WORKGROUP), 1, 1);
         })?;
         run.context.read(&self.buffer, pixels as usize)

@@ -147,9 +147,7 @@ impl Stages {
     /// Starts the paths of `wave` in the active queue.
     pub(super) fn generate(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
         run.submit(wave, |encoder| {
-            let mut pass = run.pass(encoder);
-            pass.set_pipeline(&self.generate);
-            pass.set_bind_group(2, &self.buffers.paths, &[]);
+            let mut pass = run.pass(encoder, &self.generate, &self.buffers.paths);
             pass.dispatch_workgroups((wave.pixels * wave.samples).div_ceil(WORKGROUP), 1, 1);
         })
     }
@@ -159,31 +157,28 @@ impl Stages {
         run.submit(wave, |encoder| {
             self.empty_queue(encoder, 1 - u64::from(wave.active_queue));
             self.empty_queue(encoder, SHADOW_QUEUE);
-            let mut pass = run.pass(encoder);
-            self.closest(&mut pass, wave.active_queue);
-            self.shade_and_connect(&mut pass);
+            self.closest(run, encoder, wave.active_queue);
+            self.shade_and_connect(run, encoder);
         })
     }
 
     /// Traces the paths of the active queue, to be shaded any number of times by [`Self::shade`].
     pub(super) fn trace(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
-        run.submit(wave, |encoder| self.closest(&mut run.pass(encoder), wave.active_queue))
+        run.submit(wave, |encoder| self.closest(run, encoder, wave.active_queue))
     }
 
     /// Shades the hits of the active queue and traces the shadow rays that come of it.
     pub(super) fn shade(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
         run.submit(wave, |encoder| {
             self.empty_queue(encoder, SHADOW_QUEUE);
-            self.shade_and_connect(&mut run.pass(encoder));
+            self.shade_and_connect(run, encoder);
         })
     }
 
     /// Adds the wave's radiance to its pixels' sums.
     pub(super) fn accumulate(&self, run: &Run<'_>, wave: &Wave) -> Result<(), DeviceError> {
         run.submit(wave, |encoder| {
-            let mut pass = run.pass(encoder);
-            pass.set_pipeline(&self.accumulate);
-            pass.set_bind_group(2, &self.buffers.accumulate, &[]);
+            let mut pass = run.pass(encoder, &self.accumulate, &self.buffers.accumulate);
             pass.dispatch_workgroups(wave.pixels.div_ceil(WORKGROUP), 1, 1);
         })
     }
@@ -219,26 +214,20 @@ impl Stages {
         encoder.clear_buffer(&self.buffers.queues, queue * queue_bytes(self.slots), Some(4));
     }
 
-    fn closest(&self, pass: &mut wgpu::ComputePass<'_>, active: u32) {
+    fn closest(&self, run: &Run<'_>, encoder: &mut wgpu::CommandEncoder, active: u32) {
+        let buffers = &self.buffers;
         let active = active as usize;
-        pass.set_pipeline(&self.prepare);
-        pass.set_bind_group(2, &self.buffers.prepare_active[active], &[]);
-        pass.dispatch_workgroups(1, 1, 1);
-        pass.set_pipeline(&self.trace_closest);
-        pass.set_bind_group(2, &self.buffers.closest[active], &[]);
-        pass.dispatch_workgroups_indirect(&self.buffers.active_arguments, 0);
+        run.pass(encoder, &self.prepare, &buffers.prepare_active[active]).dispatch_workgroups(1, 1, 1);
+        run.pass(encoder, &self.trace_closest, &buffers.closest[active])
+            .dispatch_workgroups_indirect(&buffers.active_arguments, 0);
     }
 
-    fn shade_and_connect(&self, pass: &mut wgpu::ComputePass<'_>) {
-        pass.set_pipeline(&self.shade);
-        pass.set_bind_group(2, &self.buffers.paths, &[]);
-        pass.dispatch_workgroups_indirect(&self.buffers.active_arguments, 0);
-        pass.set_pipeline(&self.prepare);
-        pass.set_bind_group(2, &self.buffers.prepare_shadow, &[]);
-        pass.dispatch_workgroups(1, 1, 1);
-        pass.set_pipeline(&self.trace_shadow);
-        pass.set_bind_group(2, &self.buffers.shadow, &[]);
-        pass.dispatch_workgroups_indirect(&self.buffers.shadow_arguments, 0);
+    fn shade_and_connect(&self, run: &Run<'_>, encoder: &mut wgpu::CommandEncoder) {
+        let buffers = &self.buffers;
+        run.pass(encoder, &self.shade, &buffers.paths).dispatch_workgroups_indirect(&buffers.active_arguments, 0);
+        run.pass(encoder, &self.prepare, &buffers.prepare_shadow).dispatch_workgroups(1, 1, 1);
+        run.pass(encoder, &self.trace_shadow, &buffers.shadow)
+            .dispatch_workgroups_indirect(&buffers.shadow_arguments, 0);
     }
 }
 
@@ -273,8 +262,21 @@ impl Run<'_> {
         Ok(())
     }
 
-    pub(super) fn pass<'e>(&self, encoder: &'e mut wgpu::CommandEncoder) -> wgpu::ComputePass<'e> {
+    /// A pass for one dispatch of `pipeline` with `group` as its group 2.
+    ///
+    /// Stages must not share a pass. Vulkan keeps a set bound only while all lower-numbered ones are laid out as before
+    /// ("Pipeline Layout Compatibility"), but wgpu-core 30 does not bind it again where the next pipeline has no
+    /// lower-numbered group at all: SHADE right after TRACE with the alpha filter may then read the scene from anywhere,
+    /// and does on Mesa 22.3's lavapipe. A new pass binds every group.
+    pub(super) fn pass<'e>(
+        &self,
+        encoder: &'e mut wgpu::CommandEncoder,
+        pipeline: &wgpu::ComputePipeline,
+        group: &wgpu::BindGroup,
+    ) -> wgpu::ComputePass<'e> {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(2, group, &[]);
         pass.set_bind_group(0, &self.structure.group, &[]);
         pass.set_bind_group(1, &self.scene.group, &[]);
         pass.set_bind_group(3, &self.scene.uniforms, &[]);
