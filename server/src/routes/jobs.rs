@@ -275,7 +275,7 @@ pub(super) async fn get_artifact(
     file::serve(&app, &artifact.hash, &artifact.media_type, file::REVALIDATE, &headers, "artifact").await
 }
 
-/// The picture so far of a running job; 404 before the first and after the end.
+/// The picture so far of a running job, or the whole one (`image.png`) of a job that has ended; 404 while there is none.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/preview.png", tag = "jobs", params(("id" = String, Path, description = "The job")),
     responses(

@@ -234,7 +234,8 @@ async fn a_preview_is_shown_while_the_task_runs() {
     }
     assert_eq!(service.read_job(&job).await.preview, Some(path.clone()));
     service.complete(&lease, "image.png", "second picture").await;
-    assert_eq!(service.get(&path).await.status, StatusCode::NOT_FOUND);
+    assert_eq!(service.read_job(&job).await.preview, None);
+    assert_eq!(service.get(&path).await.body, b"second picture", "a page that asks late gets the whole picture");
     assert_eq!(service.blob_files(), before + 1, "what became an artifact stays");
 }
 
