@@ -158,13 +158,15 @@ pub struct Executor {
 }
 
 /// One task, as its phases see it.
-struct Task<'a> {
-    work: &'a TaskWork,
-    settings: &'a RenderSettings,
-    inputs: &'a dyn Inputs,
-    observer: &'a dyn Observer,
-    stop: &'a AtomicBool,
-    started: Instant,
+pub(crate) struct Task<'a> {
+    pub(crate) work: &'a TaskWork,
+    pub(crate) settings: &'a RenderSettings,
+    pub(crate) inputs: &'a dyn Inputs,
+    /// Where what is built is kept.
+    pub(crate) structures: &'a StructureCache,
+    pub(crate) observer: &'a dyn Observer,
+    pub(crate) stop: &'a AtomicBool,
+    pub(crate) started: Instant,
 }
 
 impl Executor {
@@ -192,7 +194,8 @@ impl Executor {
         observer: &dyn Observer,
         stop: &AtomicBool,
     ) -> Result<Outputs, TaskError> {
-        let task = Task { work, settings, inputs, observer, stop, started: Instant::now() };
+        let structures = &self.structures;
+        let task = Task { work, settings, inputs, structures, observer, stop, started: Instant::now() };
         let mut metrics = Metrics { queue_s: inputs.waited_s(), versions: metrics::versions(), ..Metrics::default() };
         let (part, earlier) = match work {
             TaskWork::Merge => self.merge(&task, &mut metrics)?,

@@ -49,10 +49,9 @@ impl Executor {
         // Before anything is built for a device that is not there.
         let choice = self.devices.choose(task.settings.device, task.settings.adapter.as_deref())?;
         let wanted = Wanted::of(&task.settings.acceleration);
-        // The GPU walks two levels alone, without Line Spaces; a job that leaves the device to us gets one that can.
-        let needs_cpu = matches!(wanted.structures, Structures::Flat(_)) || wanted.line_spaces.is_some();
-        let choice =
-            if needs_cpu && choice != Choice::Cpu { self.devices.choose(DeviceChoice::Cpu, None)? } else { choice };
+        // A job that leaves the device to us gets one that can.
+        let needs_cpu = wanted.needs_cpu() && choice != Choice::Cpu;
+        let choice = if needs_cpu { self.devices.choose(DeviceChoice::Cpu, None)? } else { choice };
         let scene = self.scene(task, metrics)?;
         let map = environment_map(task, metrics)?;
         let resolved = settings::resolve(task.settings, &scene, map)
@@ -64,7 +63,7 @@ impl Executor {
         let (choice, on_device) = self.on_device(task, choice, &packed, &resolved, metrics)?;
         metrics.prepare_s += started.elapsed().as_secs_f64();
         self.structures.weigh();
-        count_structures(metrics, &packed);
+        count_structures(metrics, &packed.accel);
         metrics.device = on_device.info.name.clone();
         metrics.device_kind = on_device.info.kind.to_owned();
         if !on_device.info.driver.is_empty() {
@@ -132,25 +131,7 @@ impl Executor {
         task.report(Phase::Structures, STRUCTURES_START, 0);
         let started = Instant::now();
         let with_overlays = pack::with_overlays(scene, resolved);
-        let accel = Arc::new(match &wanted.structures {
-            Structures::PerMesh(params) => {
-                let structures = self.obtain_structures(task, &with_overlays, params, metrics)?;
-                let spaces = match &wanted.line_spaces {
-                    None => None,
-                    Some(wanted) => Some(self.obtain_line_spaces(task, &with_overlays, &structures, wanted)?),
-                };
-                let accel = SceneAccel::build(structures, &pack::placements(&with_overlays));
-                match spaces {
-                    None => accel,
-                    Some(mut obtained) => {
-                        metrics.cache.append(&mut obtained.reports);
-                        std::mem::take(&mut obtained.warnings).into_iter().for_each(|w| task.warn(metrics, w));
-                        obtained.given_to(accel).map_err(TaskError::worker)?
-                    }
-                }
-            }
-            Structures::Flat(params) => self.obtain_flat(task, &with_overlays, params, metrics)?,
-        });
+        let accel = Arc::new(self.accelerate(task, &with_overlays, &wanted, metrics)?);
         metrics.build_s += started.elapsed().as_secs_f64();
         task.check_stop()?;
 
@@ -171,6 +152,35 @@ impl Executor {
                 Some(LastPacked { key, packed: Arc::clone(&packed), structures });
         }
         Ok(packed)
+    }
+
+    /// What rays are traced against: structures, and what is known of the lines through them.
+    pub(crate) fn accelerate(
+        &self,
+        task: &Task<'_>,
+        scene: &Scene,
+        wanted: &Wanted,
+        metrics: &mut Metrics,
+    ) -> Result<SceneAccel, TaskError> {
+        Ok(match &wanted.structures {
+            Structures::PerMesh(params) => {
+                let structures = self.obtain_structures(task, scene, params, metrics)?;
+                let spaces = match &wanted.line_spaces {
+                    None => None,
+                    Some(wanted) => Some(self.obtain_line_spaces(task, scene, &structures, wanted)?),
+                };
+                let accel = SceneAccel::build(structures, &pack::placements(scene));
+                match spaces {
+                    None => accel,
+                    Some(mut obtained) => {
+                        metrics.cache.append(&mut obtained.reports);
+                        std::mem::take(&mut obtained.warnings).into_iter().for_each(|w| task.warn(metrics, w));
+                        obtained.given_to(accel).map_err(TaskError::worker)?
+                    }
+                }
+            }
+            Structures::Flat(params) => self.obtain_flat(task, scene, params, metrics)?,
+        })
     }
 
     /// One structure for each mesh, in the meshes' order.
@@ -202,7 +212,7 @@ impl Executor {
             .with_max_len(1)
             .map(|&i| {
                 let Some((mesh, recipe)) = &asked[i] else { return Ok((i, None)) };
-                let obtained = self.structures.get(mesh, recipe, store, task.stop)?;
+                let obtained = task.structures.get(mesh, recipe, store, task.stop)?;
                 let share = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / asked.len() as f64;
                 task.report(Phase::Structures, STRUCTURES_START + (PREPARE_STARTS - STRUCTURES_START) * share, 0);
                 Ok((i, Some(obtained)))
@@ -224,7 +234,7 @@ impl Executor {
     ) -> Result<SceneAccel, TaskError> {
         let (flat, names) = flatten(&scene.meshes, &pack::placements(scene)).map_err(build_error)?;
         task.check_stop()?;
-        let obtained = self.structures.get(&flat, params, None, task.stop).map_err(build_error)?;
+        let obtained = task.structures.get(&flat, params, None, task.stop).map_err(build_error)?;
         Ok(SceneAccel::flat(take(obtained, task, metrics), names))
     }
 
@@ -286,15 +296,16 @@ fn packed_key(task: &Task<'_>, wanted: &Wanted) -> Option<String> {
     Some(format!("{scene} {wanted:?} {parts:?}"))
 }
 
-fn count_structures(metrics: &mut Metrics, packed: &PackedScene) {
-    let structures = packed.accel.structures();
+/// What the structures of a scene take.
+pub(crate) fn count_structures(metrics: &mut Metrics, accel: &SceneAccel) {
+    let structures = accel.structures();
     let bytes: usize = structures.iter().map(Structure::bytes).sum();
-    metrics.structure_bytes = (bytes + packed.accel.top_bytes()) as u64;
+    metrics.structure_bytes = (bytes + accel.top_bytes()) as u64;
     let nodes: usize = structures.iter().map(Structure::node_count).sum();
-    metrics.structure_nodes = (nodes + packed.accel.top().nodes.len()) as u64;
-    let spaces = packed.accel.line_spaces();
+    metrics.structure_nodes = (nodes + accel.top().nodes.len()) as u64;
+    let spaces = accel.line_spaces();
     let meshes = spaces.iter().flatten().count() as u64;
-    let asked = packed.accel.asked_line_spaces() as u64;
+    let asked = accel.asked_line_spaces() as u64;
     metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, asked, ..LineSpaceUse::default() });
     metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
 }

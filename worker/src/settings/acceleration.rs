@@ -26,6 +26,11 @@ impl Wanted {
         let line_spaces = acceleration.line_space.as_ref().map(|line_space| LineSpaces::of(line_space, approximate));
         Self { structures: Structures::of(acceleration), line_spaces }
     }
+
+    /// The GPU walks two levels alone, without Line Spaces.
+    pub fn needs_cpu(&self) -> bool {
+        matches!(self.structures, Structures::Flat(_)) || self.line_spaces.is_some()
+    }
 }
 
 /// A Line Space for each mesh, within budgets.
