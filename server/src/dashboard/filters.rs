@@ -221,6 +221,11 @@ pub(super) fn human_ago(then: Timestamp, now: Timestamp) -> String {
 
 pub(super) fn human_words(name: &str) -> String {
     let spaced = name.replace('_', " ");
+    match name {
+        "bvh" | "ao" | "aov" => return name.to_uppercase(),
+        "ntree" => return "N-tree".to_owned(),
+        _ => {}
+    }
     let mut characters = spaced.chars();
     match characters.next() {
         Some(first) => first.to_uppercase().chain(characters).collect(),

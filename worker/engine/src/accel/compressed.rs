@@ -350,7 +350,7 @@ impl Frame {
 mod tests {
     use super::*;
     use crate::accel::{BuildParams, MeshStructure};
-    use crate::scene::{Mesh, MeshHash};
+    use crate::scene::Mesh;
 
     /// Primitive numbers under a node, each tested against the node's quantised boxes on the way down.
     fn check(tree: &CompressedBvh, node: usize, level: u32, bounds: &dyn Fn(u32) -> Aabb, found: &mut Vec<u32>) -> u32 {
@@ -396,23 +396,8 @@ mod tests {
             let corner = 10.0 * glam::Vec3::new(unit(), unit(), unit());
             positions.extend([corner, corner + glam::Vec3::new(unit(), 0.0, unit()), corner + glam::Vec3::Y * unit()]);
         }
-        let mut bounds = Aabb::EMPTY;
-        positions.iter().for_each(|&p| bounds.grow(p));
-        Mesh {
-            hash: MeshHash([1; 32]),
-            name: String::new(),
-            positions,
-            triangles: (0..triangles).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
-            triangle_slots: vec![0; triangles as usize],
-            normals: vec![],
-            tangents: vec![],
-            uv0: vec![],
-            uv1: vec![],
-            colors: vec![],
-            spheres: vec![],
-            slots: 1,
-            bounds,
-        }
+        let triangles = (0..triangles).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        Mesh::of_shapes("", positions, triangles, vec![])
     }
 
     /// Small meshes in one go, large ones in parts that are put together.

@@ -9,7 +9,7 @@ use glam::{Mat3, Vec3};
 
 use super::two_level::is_visible;
 use super::{BuildError, HitFilter, Placement};
-use crate::scene::{Aabb, Mesh, MeshHash, Sphere};
+use crate::scene::{Mesh, MeshHash, Sphere};
 use crate::trace::{Hit, Ray, Sink};
 
 /// How unequal the axes of a placed sphere may be, relative to their squared length.
@@ -58,21 +58,8 @@ pub fn flat_hash(meshes: &[impl AsRef<Mesh>], placements: &[Placement]) -> MeshH
 /// # Panics
 /// When a placement refers to a mesh that is not there.
 pub fn flatten(meshes: &[impl AsRef<Mesh>], placements: &[Placement]) -> Result<(Mesh, Names), BuildError> {
-    let mut flat = Mesh {
-        hash: flat_hash(meshes, placements),
-        name: "scene".into(),
-        positions: Vec::new(),
-        triangles: Vec::new(),
-        triangle_slots: Vec::new(),
-        normals: Vec::new(),
-        tangents: Vec::new(),
-        uv0: Vec::new(),
-        uv1: Vec::new(),
-        colors: Vec::new(),
-        spheres: Vec::new(),
-        slots: 1,
-        bounds: Aabb::EMPTY,
-    };
+    let mut flat = Mesh::of_shapes("scene", Vec::new(), Vec::new(), Vec::new());
+    flat.hash = flat_hash(meshes, placements);
     let visible = || (0_u32..).zip(placements).filter(|(_, placement)| is_visible(placement));
     let placed = |count: fn(&Mesh) -> usize| -> usize {
         visible().map(|(_, placement)| count(meshes[placement.mesh as usize].as_ref())).sum()
@@ -116,11 +103,7 @@ pub fn flatten(meshes: &[impl AsRef<Mesh>], placements: &[Placement]) -> Result<
         }
     }
     flat.triangle_slots = vec![0; flat.triangles.len()];
-    flat.positions.iter().for_each(|&point| flat.bounds.grow(point));
-    for sphere in &flat.spheres {
-        flat.bounds.grow(sphere.center - sphere.radius.abs());
-        flat.bounds.grow(sphere.center + sphere.radius.abs());
-    }
+    flat.bounds = flat.shape_bounds();
     Ok((flat, names))
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 use crate::accel::Placement;
-use crate::scene::{Aabb, AlphaMode, Instance, Material, Mesh, MeshHash, Scene, mesh_hash};
+use crate::scene::{Aabb, AlphaMode, Instance, Material, Mesh, Scene, mesh_hash};
 use crate::settings::{Ground, RenderSettings};
 
 /// The scene with the job's ground plane in it. Call this before structures are looked up: the ground is a mesh like
@@ -85,26 +85,8 @@ fn add_ground(scene: &mut Scene, ground: &Ground) {
 
 /// The square from (-1, 0, -1) to (1, 0, 1), facing up.
 fn ground_mesh() -> Mesh {
-    let mut mesh = Mesh {
-        hash: MeshHash([0; 32]),
-        name: "ground".into(),
-        positions: vec![
-            Vec3::new(-1.0, 0.0, -1.0),
-            Vec3::new(-1.0, 0.0, 1.0),
-            Vec3::new(1.0, 0.0, 1.0),
-            Vec3::new(1.0, 0.0, -1.0),
-        ],
-        triangles: vec![[0, 1, 2], [0, 2, 3]],
-        triangle_slots: vec![0, 0],
-        normals: Vec::new(),
-        tangents: Vec::new(),
-        uv0: Vec::new(),
-        uv1: Vec::new(),
-        colors: Vec::new(),
-        spheres: Vec::new(),
-        slots: 1,
-        bounds: Aabb { min: Vec3::new(-1.0, 0.0, -1.0), max: Vec3::new(1.0, 0.0, 1.0) },
-    };
+    let corners = [[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]].map(|[x, z]| Vec3::new(x, 0.0, z));
+    let mut mesh = Mesh::of_shapes("ground", corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]], Vec::new());
     mesh.hash = mesh_hash(&mesh);
     mesh
 }

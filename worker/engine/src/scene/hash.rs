@@ -76,24 +76,10 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::scene::model::{Aabb, Sphere};
+    use crate::scene::model::Sphere;
 
     fn triangle() -> Mesh {
-        Mesh {
-            hash: MeshHash([0; 32]),
-            name: "a".into(),
-            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
-            triangles: vec![[0, 1, 2]],
-            triangle_slots: vec![0],
-            normals: Vec::new(),
-            tangents: Vec::new(),
-            uv0: Vec::new(),
-            uv1: Vec::new(),
-            colors: Vec::new(),
-            spheres: Vec::new(),
-            slots: 1,
-            bounds: Aabb::EMPTY,
-        }
+        Mesh::of_shapes("a", vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![[0, 1, 2]], Vec::new())
     }
 
     #[test]

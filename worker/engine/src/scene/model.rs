@@ -100,6 +100,41 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// A mesh of one material slot that is nothing but shapes: no normals, texture coordinates or colours, and not hashed
+    /// yet ([`super::mesh_hash`]).
+    pub fn of_shapes(name: &str, positions: Vec<Vec3>, triangles: Vec<[u32; 3]>, spheres: Vec<Sphere>) -> Self {
+        let mut mesh = Self {
+            hash: MeshHash([0; 32]),
+            name: name.into(),
+            triangle_slots: vec![0; triangles.len()],
+            positions,
+            triangles,
+            normals: Vec::new(),
+            tangents: Vec::new(),
+            uv0: Vec::new(),
+            uv1: Vec::new(),
+            colors: Vec::new(),
+            spheres,
+            slots: 1,
+            bounds: Aabb::EMPTY,
+        };
+        mesh.bounds = mesh.shape_bounds();
+        mesh
+    }
+
+    /// The box of all triangles and spheres; vertices that no triangle uses do not count.
+    pub fn shape_bounds(&self) -> Aabb {
+        let mut bounds = Aabb::EMPTY;
+        for vertex in self.triangles.iter().flatten() {
+            bounds.grow(self.positions[*vertex as usize]);
+        }
+        for sphere in &self.spheres {
+            bounds.grow(sphere.center - sphere.radius.abs());
+            bounds.grow(sphere.center + sphere.radius.abs());
+        }
+        bounds
+    }
+
     /// Triangles and spheres together.
     pub fn primitive_count(&self) -> usize {
         self.triangles.len() + self.spheres.len()

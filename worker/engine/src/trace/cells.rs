@@ -12,7 +12,7 @@ use std::mem::MaybeUninit;
 use super::Counters;
 use super::kernel::Sink;
 use super::object_ray::ObjectRay;
-use super::packet::{PacketRay, test_spheres, test_triangles};
+use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Portable};
 use crate::accel::cells::{CellTree, LEAF, MAX_LEVELS, ROUNDING};
 use crate::accel::wide::LANES;
@@ -311,12 +311,7 @@ impl<'a, I: Isa, S: Sink> Tester<'a, I, S> {
             let packet = tree.packet(number);
             self.next = (self.next + 1) % REMEMBERED;
             self.packets += 1;
-            let stop = if tree.is_triangles(packet) {
-                test_triangles(packet, &self.ray, self.instance, self.sink)
-            } else {
-                test_spheres(packet, &self.ray, self.instance, self.sink)
-            };
-            if stop {
+            if test_packet(packet, tree.is_triangles(packet), &self.ray, self.instance, self.sink) {
                 return true;
             }
         }

@@ -8,7 +8,7 @@ use std::mem::MaybeUninit;
 use std::ops::Range;
 
 use super::object_ray::{BoxRay, ObjectRay};
-use super::packet::{PacketRay, test_spheres, test_triangles};
+use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Lanes, Portable};
 use super::{Counters, Hit, cells};
 use crate::accel::bvh2::MAX_DEPTH;
@@ -108,12 +108,8 @@ impl<I: Isa, S: Sink> LeafVisitor for PacketVisitor<'_, I, S> {
         for entry in entries {
             // SAFETY: leaf references of a tree are in range.
             let packet = unsafe { self.bvh.packets.get_unchecked(entry) };
-            let stop = if packet.ids[0] < self.bvh.triangle_count {
-                test_triangles(packet, &self.ray, self.instance, self.sink)
-            } else {
-                test_spheres(packet, &self.ray, self.instance, self.sink)
-            };
-            if stop {
+            let is_triangles = packet.ids[0] < self.bvh.triangle_count;
+            if test_packet(packet, is_triangles, &self.ray, self.instance, self.sink) {
                 return true;
             }
         }

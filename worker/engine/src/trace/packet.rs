@@ -45,9 +45,20 @@ impl<I: Isa> PacketRay<I> {
     }
 }
 
-/// Offers the packet's hits. True when the sink wants no more.
+/// Offers the hits of a packet of triangles, or else of spheres. True when the sink wants no more.
 #[inline(always)]
-pub(crate) fn test_triangles<I: Isa>(packet: &Packet, ray: &PacketRay<I>, instance: u32, sink: &mut impl Sink) -> bool {
+pub(crate) fn test_packet<I: Isa>(
+    packet: &Packet,
+    is_triangles: bool,
+    ray: &PacketRay<I>,
+    instance: u32,
+    sink: &mut impl Sink,
+) -> bool {
+    if is_triangles { test_triangles(packet, ray, instance, sink) } else { test_spheres(packet, ray, instance, sink) }
+}
+
+#[inline(always)]
+fn test_triangles<I: Isa>(packet: &Packet, ray: &PacketRay<I>, instance: u32, sink: &mut impl Sink) -> bool {
     let coordinate = |vertex: usize, axis: usize| {
         // SAFETY: vertices are 0 to 2 and axes a permutation of 0 to 2, so there are rows 0 to 8.
         let row = unsafe { packet.rows.get_unchecked(3 * vertex + ray.axes[axis]) };
@@ -127,9 +138,9 @@ fn exact_hit(a: [f64; 3], b: [f64; 3], c: [f64; 3], scale: f64) -> Option<(f32, 
     Some((t as f32, (v / determinant) as f32, (w / determinant) as f32))
 }
 
-/// Offers where the ray enters and leaves each sphere. True when the sink wants no more.
+/// Offers where the ray enters and leaves each sphere.
 #[inline(always)]
-pub(crate) fn test_spheres<I: Isa>(packet: &Packet, ray: &PacketRay<I>, instance: u32, sink: &mut impl Sink) -> bool {
+fn test_spheres<I: Isa>(packet: &Packet, ray: &PacketRay<I>, instance: u32, sink: &mut impl Sink) -> bool {
     let splat = I::F4::splat;
     let origin = ray.object.origin.to_array().map(splat);
     let d = ray.object.direction.to_array().map(splat);

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test and benchmark uses its part")]
 
 use glam::Vec3;
-use lightshaft_engine::scene::{Aabb, Mesh, MeshHash, Sphere};
+use lightshaft_engine::scene::{Mesh, MeshHash, Sphere};
 
 /// SplitMix64: small, good enough, and the same everywhere.
 pub(crate) struct Random(pub(crate) u64);
@@ -34,27 +34,7 @@ impl Random {
 }
 
 pub(crate) fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>, spheres: Vec<Sphere>) -> Mesh {
-    let mut bounds = Aabb::EMPTY;
-    positions.iter().for_each(|&p| bounds.grow(p));
-    for sphere in &spheres {
-        bounds.grow(sphere.center - sphere.radius);
-        bounds.grow(sphere.center + sphere.radius);
-    }
-    Mesh {
-        hash: MeshHash([7; 32]),
-        name: "test".into(),
-        triangle_slots: vec![0; triangles.len()],
-        positions,
-        triangles,
-        normals: vec![],
-        tangents: vec![],
-        uv0: vec![],
-        uv1: vec![],
-        colors: vec![],
-        spheres,
-        slots: 1,
-        bounds,
-    }
+    Mesh { hash: MeshHash([7; 32]), ..Mesh::of_shapes("test", positions, triangles, spheres) }
 }
 
 /// Separate random triangles in the unit cube.

@@ -2,26 +2,10 @@
 
 use glam::Vec3;
 
-use crate::scene::{Aabb, Mesh, MeshHash};
+use crate::scene::Mesh;
 
 fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Mesh {
-    let mut bounds = Aabb::EMPTY;
-    positions.iter().for_each(|&position| bounds.grow(position));
-    Mesh {
-        hash: MeshHash([3; 32]),
-        name: "test".into(),
-        triangle_slots: vec![0; triangles.len()],
-        positions,
-        triangles,
-        normals: vec![],
-        tangents: vec![],
-        uv0: vec![],
-        uv1: vec![],
-        colors: vec![],
-        spheres: vec![],
-        slots: 1,
-        bounds,
-    }
+    Mesh::of_shapes("test", positions, triangles, vec![])
 }
 
 /// The unit square at z = 0, in two triangles.

@@ -115,7 +115,7 @@ fn furnaces_hold_far_from_the_origin_and_at_any_scale() {
 
 /// The cube of side 2 around the origin.
 fn cube() -> Mesh {
-    let mut cube = super::empty_mesh();
+    let mut cube = Mesh::of_shapes("", vec![], vec![], vec![]);
     for face in 0..6 {
         let turn = match face {
             0..=3 => Quat::from_rotation_y(face as f32 * std::f32::consts::FRAC_PI_2),
@@ -127,18 +127,19 @@ fn cube() -> Mesh {
         cube.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
         cube.triangle_slots.extend([0, 0]);
     }
-    cube.bounds = crate::scene::Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+    cube.bounds = cube.shape_bounds();
     cube
 }
 
 #[test]
 fn mirrored_instances_are_lit_from_the_outside() {
     let mirrored = Affine3A::from_scale(Vec3::new(-1.0, 1.0, 1.0));
-    let lamp = Mesh {
-        spheres: vec![Sphere { center: Vec3::new(3.0, 0.0, 3.0), radius: 1.0, slot: 0 }],
-        bounds: crate::scene::Aabb { min: Vec3::new(2.0, -1.0, 2.0), max: Vec3::new(4.0, 1.0, 4.0) },
-        ..super::empty_mesh()
-    };
+    let lamp = Mesh::of_shapes(
+        "",
+        Vec::new(),
+        Vec::new(),
+        vec![Sphere { center: Vec3::new(3.0, 0.0, 3.0), radius: 1.0, slot: 0 }],
+    );
     let build = |body: Affine3A| {
         scene(vec![(cube(), matte(0.8, 0.9), body), (lamp.clone(), glow(Vec3::splat(5.0)), Affine3A::IDENTITY)])
     };

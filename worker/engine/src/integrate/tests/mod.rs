@@ -16,7 +16,7 @@ use glam::{Affine3A, Vec3};
 use super::{Sample, Tally, radiance};
 use crate::accel::{BuildParams, MeshStructure, SceneAccel};
 use crate::pack::{PackedScene, pack, placements, with_overlays};
-use crate::scene::{Aabb, Camera, Instance, Material, Mesh, MeshHash, Projection, Scene, Sphere, mesh_hash};
+use crate::scene::{Camera, Instance, Material, Mesh, Projection, Scene, Sphere, mesh_hash};
 use crate::settings::{Environment, Integrator, RenderSettings};
 
 /// A dielectric of one colour.
@@ -28,40 +28,18 @@ pub(crate) fn glow(radiance: Vec3) -> Material {
     Material { emissive: radiance, ..matte(0.0, 1.0) }
 }
 
-pub(crate) fn empty_mesh() -> Mesh {
-    Mesh {
-        hash: MeshHash([0; 32]),
-        name: String::new(),
-        positions: Vec::new(),
-        triangles: Vec::new(),
-        triangle_slots: Vec::new(),
-        normals: Vec::new(),
-        tangents: Vec::new(),
-        uv0: Vec::new(),
-        uv1: Vec::new(),
-        colors: Vec::new(),
-        spheres: Vec::new(),
-        slots: 1,
-        bounds: Aabb::EMPTY,
-    }
-}
-
 /// The unit sphere around the origin.
 pub(crate) fn sphere() -> Mesh {
     let spheres = vec![Sphere { center: Vec3::ZERO, radius: 1.0, slot: 0 }];
-    Mesh { spheres, bounds: Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE }, ..empty_mesh() }
+    Mesh::of_shapes("", Vec::new(), Vec::new(), spheres)
 }
 
 /// The square from (-1, -1, 0) to (1, 1, 0), facing +Z, with texture coordinates (0, 0) at its upper left.
 pub(crate) fn square() -> Mesh {
-    Mesh {
-        positions: [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| Vec3::new(x, y, 0.0)).to_vec(),
-        triangles: vec![[0, 1, 2], [0, 2, 3]],
-        triangle_slots: vec![0, 0],
-        uv0: vec![[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]],
-        bounds: Aabb { min: Vec3::new(-1.0, -1.0, 0.0), max: Vec3::new(1.0, 1.0, 0.0) },
-        ..empty_mesh()
-    }
+    let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| Vec3::new(x, y, 0.0));
+    let mut mesh = Mesh::of_shapes("", corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]], Vec::new());
+    mesh.uv0 = vec![[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]];
+    mesh
 }
 
 /// A scene of single-material objects.

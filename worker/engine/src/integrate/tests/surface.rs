@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Quat, Vec3};
 
-use super::{camera, empty_mesh, matte, prepare, scene, settings, square};
+use super::{camera, matte, prepare, scene, settings, square};
 use crate::integrate::aov::first_hit;
 use crate::integrate::math::offset_origin;
 use crate::integrate::sampler::{hash, unit_float};
 use crate::integrate::surface::{shade_point, triangle_point};
-use crate::scene::{Aabb, Image, Material, Mesh, Scene, Texture, TextureRef};
+use crate::scene::{Image, Material, Mesh, Scene, Texture, TextureRef};
 use crate::settings::Integrator;
 
 fn centre(scene: &Scene, from: Vec3) -> crate::integrate::aov::FirstHit {
@@ -132,9 +132,7 @@ fn rays_do_not_meet_the_triangle_that_they_leave() {
         let vector = |k: u32| Vec3::new(random(i, k), random(i, k + 1), random(i, k + 2));
         let size = power(i, 100);
         let positions: Vec<Vec3> = (0..3).map(|c| vector(3 * c) * size).collect();
-        let mut bounds = Aabb::EMPTY;
-        positions.iter().for_each(|&p| bounds.grow(p));
-        let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], triangle_slots: vec![0], bounds, ..empty_mesh() };
+        let mesh = Mesh::of_shapes("", positions, vec![[0, 1, 2]], vec![]);
         let turn = Quat::from_scaled_axis(vector(20) * 3.0);
         let scale = Vec3::splat(power(i, 101)) * (Vec3::splat(1.5) + vector(30));
         let transform = Affine3A::from_scale_rotation_translation(scale, turn, vector(40) * power(i, 102));

@@ -111,7 +111,7 @@ pub(super) struct Accessors<'a> {
 
 /// An accessor, resolved.
 struct Elements<'a> {
-    /// `None`: all zeros (sparse without a base).
+    /// `None`: all zeros (an accessor without a buffer view).
     bytes: Option<&'a [u8]>,
     stride: usize,
     count: usize,
@@ -298,7 +298,7 @@ impl Elements<'_> {
     }
 }
 
-/// An error when a sparse accessor without a base, whose size no buffer bounds, is larger than the geometry may be.
+/// An error when an accessor without a buffer view, whose size no buffer bounds, is larger than the geometry may be.
 pub(super) fn check_unbacked(document: &Document, limits: &Limits) -> Result<()> {
     for (index, accessor) in document.accessors.iter().enumerate() {
         if accessor.buffer_view.is_none() {

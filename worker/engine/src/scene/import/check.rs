@@ -89,25 +89,17 @@ fn check_accessor(document: &Document, accessor: &Accessor, at: &str) -> Result<
         )
     })?;
     let element_bytes = shape.bytes(component) as u64;
-    match accessor.buffer_view {
-        Some(view) => {
-            in_range(format_args!("{at}/bufferView"), view, "bufferViews", document.buffer_views.len())?;
-            let stride = document.buffer_views[view].byte_stride.unwrap_or(element_bytes);
-            if stride < element_bytes {
-                return Err(ImportError::malformed(
-                    format!("bufferViews/{view}/byteStride"),
-                    format!("{stride} is less than the {element_bytes} bytes of an element of {at}"),
-                ));
-            }
-            check_extent(document, view, accessor.byte_offset, accessor.count, stride, element_bytes, at)?;
-        }
-        None if accessor.sparse.is_none() && accessor.count > 0 => {
+    // Without a view it is all zeros, but for what sparse values say (glTF 2.0, 3.6.2.1); `check_unbacked` bounds how many.
+    if let Some(view) = accessor.buffer_view {
+        in_range(format_args!("{at}/bufferView"), view, "bufferViews", document.buffer_views.len())?;
+        let stride = document.buffer_views[view].byte_stride.unwrap_or(element_bytes);
+        if stride < element_bytes {
             return Err(ImportError::malformed(
-                format!("{at}/bufferView"),
-                "is missing: an accessor needs a buffer view or sparse values (or an extension that is not supported)",
+                format!("bufferViews/{view}/byteStride"),
+                format!("{stride} is less than the {element_bytes} bytes of an element of {at}"),
             ));
         }
-        None => {}
+        check_extent(document, view, accessor.byte_offset, accessor.count, stride, element_bytes, at)?;
     }
     let Some(sparse) = &accessor.sparse else { return Ok(()) };
     if sparse.count > accessor.count {

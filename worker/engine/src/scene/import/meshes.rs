@@ -14,7 +14,7 @@ use super::topology::Topology;
 use crate::scene::error::{ImportError, Result};
 use crate::scene::hash;
 use crate::scene::limits::Limits;
-use crate::scene::model::{Aabb, Material, Mesh, MeshHash, Sphere};
+use crate::scene::model::{Material, Mesh, MeshHash, Sphere};
 
 /// Bytes that one vertex may come to: position, normal, tangent, two UV sets, colour.
 const VERTEX_BYTES: u64 = 12 + 12 + 16 + 8 + 8 + 16;
@@ -232,27 +232,14 @@ fn merge(name: String, mut pieces: Vec<Piece>) -> Option<Decoded> {
             }
         }
     }
-    let mut mesh = Mesh {
-        hash: MeshHash([0; 32]),
-        name,
-        positions: Vec::new(),
-        triangles: Vec::new(),
-        triangle_slots: Vec::new(),
-        normals: Vec::new(),
-        tangents: Vec::new(),
-        uv0: Vec::new(),
-        uv1: Vec::new(),
-        colors: Vec::new(),
-        spheres: Vec::new(),
-        slots: pieces.len() as u32,
-        bounds: Aabb::EMPTY,
-    };
+    let mut mesh = Mesh::of_shapes(&name, Vec::new(), Vec::new(), Vec::new());
+    mesh.slots = pieces.len() as u32;
     let mut materials = Vec::new();
     for (slot, Piece { material, part }) in pieces.into_iter().enumerate() {
         materials.push(material);
         append(&mut mesh, part, slot as u32);
     }
-    mesh.bounds = bounds(&mesh);
+    mesh.bounds = mesh.shape_bounds();
     mesh.hash = hash::mesh_hash(&mesh);
     Some(Decoded { mesh, materials })
 }
@@ -291,19 +278,4 @@ fn extend<T: Copy>(all: &mut Vec<T>, part: Vec<T>, before: usize, after: usize, 
         all.extend(part);
     }
     all.resize(after, missing);
-}
-
-fn bounds(mesh: &Mesh) -> Aabb {
-    let mut bounds = Aabb::EMPTY;
-    // Parts are compacted, but dropped triangles may leave vertices behind: only those in use count.
-    for triangle in &mesh.triangles {
-        for vertex in triangle {
-            bounds.grow(mesh.positions[*vertex as usize]);
-        }
-    }
-    for sphere in &mesh.spheres {
-        bounds.grow(sphere.center - sphere.radius);
-        bounds.grow(sphere.center + sphere.radius);
-    }
-    bounds
 }

@@ -131,6 +131,15 @@ fn sparse_values_replace_the_base_and_stand_without_one() {
 }
 
 #[test]
+fn an_accessor_without_a_buffer_view_is_all_zeros() {
+    let mut draft = Draft::triangle();
+    let colors = draft.floats("VEC4", &[0.5; 12]);
+    draft.json["accessors"][colors].as_object_mut().unwrap().remove("bufferView");
+    draft.primitive()["attributes"]["COLOR_0"] = json!(colors);
+    assert_eq!(draft.scene().meshes[0].colors, [[0.0; 4]; 3]);
+}
+
+#[test]
 fn unused_vertices_are_dropped() {
     let mut draft = Draft::triangle();
     let positions = draft.floats("VEC3", &[9., 9., 9., 0., 0., 0., 9., 9., 9., 1., 0., 0., 0., 1., 0.]);
