@@ -446,6 +446,12 @@ pub struct LineSpaceUse {
     pub approximated: u64,
     /// That start too far away for single precision: the structure was walked.
     pub too_far: u64,
+    /// Nodes of an N-tree whose shaft was looked up, by all rays.
+    #[serde(default)]
+    pub node_look_ups: u64,
+    /// Of those, the ones that were passed by with all below them.
+    #[serde(default)]
+    pub skipped_nodes: u64,
 }
 
 impl LineSpaceUse {
@@ -467,6 +473,8 @@ impl LineSpaceUse {
             mixed: self.mixed + other.mixed,
             approximated: self.approximated + other.approximated,
             too_far: self.too_far + other.too_far,
+            node_look_ups: self.node_look_ups + other.node_look_ups,
+            skipped_nodes: self.skipped_nodes + other.skipped_nodes,
         }
     }
 }

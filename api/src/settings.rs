@@ -256,7 +256,7 @@ pub struct Acceleration {
     /// Of `grid`, `octree` and `ntree`: a structure that would need more is refused; 1048576 (1 MiB) and more, 4 GiB when
     /// null.
     pub budget_bytes: Option<u64>,
-    /// Of `two_level`, on the CPU: what is known of the lines through each mesh; null for nothing.
+    /// Of `two_level` and `ntree`, on the CPU: what is known of the lines through each mesh, or each node; null for nothing.
     pub line_space: Option<LineSpace>,
     /// What `line_space` is used for.
     pub policy: Policy,

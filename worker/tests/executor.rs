@@ -459,6 +459,33 @@ fn rmse(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
 }
 
 #[test]
+fn rays_pass_nodes_of_an_ntree_by_without_a_change_of_the_picture() {
+    for kind in ["forest", "pile"] {
+        let (executor, inputs) = (executor(), small_scene(kind));
+        for integrator in [Integrator::Path, Integrator::Ao] {
+            let ntree = |line_space| {
+                let structure = StructureKind::NTree;
+                let acceleration = Acceleration { structure, n: Some(4), line_space, ..Acceleration::default() };
+                RenderSettings { integrator, acceleration, ..with_line_space(LineSpace::default()) }
+            };
+            let asked = LineSpace { payload: LineSpacePayload::Binary, ask: Ask::Always, ..LineSpace::default() };
+            let expected = run(&executor, &TaskWork::Frame, &ntree(None), &inputs);
+            let outputs = run(&executor, &TaskWork::Frame, &ntree(Some(asked.clone())), &inputs);
+            assert!(pixels(&outputs) == pixels(&expected), "{kind}");
+            let used = outputs.metrics.line_space.expect("a job with line spaces");
+            assert_eq!((used.meshes, used.asked), (1, 1));
+            assert!(outputs.metrics.line_space_bytes > 0 && used.skipped_nodes > 0, "{kind}: {used:?}");
+            assert!(used.skipped_nodes < used.node_look_ups);
+
+            let skip = LineSpace { mesh_budget_bytes: Some(1024), on_over_budget: OnOverBudget::Skip, ..asked };
+            let skipped = run(&executor, &TaskWork::Frame, &ntree(Some(skip)), &inputs);
+            assert!(pixels(&skipped) == pixels(&expected) && skipped.metrics.line_space.is_none());
+            assert!(skipped.metrics.warnings[0].contains("levels have line spaces"), "{:?}", skipped.metrics.warnings);
+        }
+    }
+}
+
+#[test]
 fn approximate_occlusion_comes_near_the_picture_and_nearer_with_more_patches() {
     let (executor, inputs) = (executor(), small_scene("forest"));
     let ao = |acceleration| RenderSettings {

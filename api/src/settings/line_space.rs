@@ -10,8 +10,8 @@ use crate::problem::FieldError;
 /// Of budgets: enough for any coarse Line Space.
 const MIN_BUDGET_BYTES: u64 = 1 << 10;
 
-/// A Line Space for each mesh of the scene: the faces of its box are cut into patches, and something is stored for each
-/// pair of patches. Cached and shared by mesh, as structures are.
+/// A Line Space for each mesh of the scene, or for each node of its N-tree: the faces of a box are cut into patches, and
+/// something is stored for each pair of patches. Those of meshes are cached and shared by mesh, as structures are.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LineSpace {
@@ -19,8 +19,9 @@ pub struct LineSpace {
     /// Patches along the edge of a face. Of `tri_state`: 1 to 32, 16 when null. Of `binary`: 1 to 12 with builder `mask`, 1 to
     /// 32 with the others, 8 when null. Of `candidate`: 1 to 32, 6 when null. Of `coverage`: 1 to 32, 8 when null.
     pub n: Option<u32>,
-    /// Levels of the structure whose boxes have Line Spaces, below the mesh's own box; 0 for that box alone.
-    pub depth: u32,
+    /// Levels of the structure below its root whose boxes have Line Spaces. Of `two_level`: 0, the mesh's own box, when null.
+    /// Of `ntree`: all levels of nodes when null.
+    pub depth: Option<u32>,
     /// How it is made. Of `binary`: `mask` (when null), `clip` or `ray_cast`. Of `tri_state`: `layered`. Of the others:
     /// `ray_cast`.
     pub builder: Option<LineSpaceBuilder>,
@@ -136,16 +137,39 @@ impl Acceleration {
         c.check(needs_none || self.line_space.is_some(), "policy", "approximate_occlusion needs a line_space");
         let Some(line_space) = &self.line_space else { return };
         c.check(
-            self.structure == StructureKind::TwoLevel,
+            matches!(self.structure, StructureKind::TwoLevel | StructureKind::NTree),
             "line_space",
-            "line spaces are available with structure two_level alone",
+            "line spaces are available with structures two_level and ntree alone",
         );
         c.check(
             device != DeviceChoice::Gpu,
             "line_space",
             "must be null on device gpu: line spaces are asked by the CPU alone; device auto chooses it",
         );
-        line_space.validate(&format!("{prefix}/line_space"), errors);
+        if self.structure == StructureKind::NTree {
+            self.validate_nodes(line_space, prefix, errors);
+        }
+        line_space.validate(self.structure, &format!("{prefix}/line_space"), errors);
+    }
+
+    /// Line Spaces of the nodes of an N-tree: as many patches as cells, from which they are made.
+    fn validate_nodes(&self, line_space: &LineSpace, prefix: &str, errors: &mut Vec<FieldError>) {
+        let mut c = Checker { prefix, errors };
+        let (n, levels) = (self.n.unwrap_or(6), self.depth.unwrap_or(3));
+        c.check(self.policy == Policy::Exact, "policy", "must be exact with structure ntree");
+        let fits = line_space.payload == LineSpacePayload::Binary;
+        c.check(fits, "line_space/payload", "must be binary with structure ntree");
+        let fits = line_space.builder.is_none_or(|builder| builder == LineSpaceBuilder::Mask);
+        c.check(fits, "line_space/builder", "must be mask with structure ntree");
+        c.check(n <= 12, "n", "must be 2 to 12 with a line_space: masks grow with its seventh power");
+        let fits = line_space.n.is_none_or(|patches| patches == n);
+        c.check(fits, "line_space/n", &format!("must be the structure's n, {n}, or null"));
+        let fits = line_space.depth.is_none_or(|depth| depth < levels);
+        c.check(
+            fits,
+            "line_space/depth",
+            &format!("must be 0 to {}, below the structure's depth, or null", levels.max(1) - 1),
+        );
     }
 }
 
@@ -169,7 +193,7 @@ impl LineSpace {
         self.hierarchical.unwrap_or([4, 8, 16, 32].contains(&self.n_or_default()))
     }
 
-    fn validate(&self, prefix: &str, errors: &mut Vec<FieldError>) {
+    fn validate(&self, structure: StructureKind, prefix: &str, errors: &mut Vec<FieldError>) {
         let mut c = Checker { prefix, errors };
         let payload = self.payload;
         let is_masked = payload == LineSpacePayload::Binary && self.builder_or_default() == LineSpaceBuilder::Mask;
@@ -177,7 +201,8 @@ impl LineSpace {
         let of_masks = if is_masked { " with builder mask" } else { "" };
         let in_range = (1..=most).contains(&self.n_or_default());
         c.check(in_range, "n", &format!("must be 1 to {most}{of_masks}"));
-        c.check(self.depth == 0, "depth", "must be 0: deeper boxes have no line spaces yet");
+        let is_deep = structure != StructureKind::NTree && self.depth.is_some_and(|depth| depth > 0);
+        c.check(!is_deep, "depth", "must be 0: deeper boxes of meshes have no line spaces yet");
         let fits = payload.builders().contains(&self.builder_or_default());
         c.check(fits, "builder", &format!("must be {} for this payload", payload.builder_names()));
         let mut applies = |is_given: bool, field: &str, to: LineSpacePayload, name: &str| {
@@ -288,7 +313,29 @@ mod tests {
     fn what_cannot_be_combined_is_refused_at_its_place() {
         let on_gpu = json!({ "device": "gpu", "acceleration": { "line_space": {} } });
         assert_eq!(wrong(on_gpu), ["line_space"]);
-        assert_eq!(wrong(json!({ "acceleration": { "structure": "ntree", "line_space": {} } })), ["line_space"]);
+        assert_eq!(wrong(json!({ "acceleration": { "structure": "octree", "line_space": {} } })), ["line_space"]);
+    }
+
+    #[test]
+    fn nodes_of_an_ntree_have_as_many_patches_as_cells() {
+        let ntree = |n: u32, line_space: Value| {
+            wrong(json!({ "acceleration": { "structure": "ntree", "n": n, "depth": 3, "line_space": line_space } }))
+        };
+        for good in [
+            json!({ "payload": "binary" }),
+            json!({ "payload": "binary", "n": 8, "depth": 2, "builder": "mask" }),
+            json!({ "payload": "binary", "ask": "always", "on_over_budget": "skip" }),
+        ] {
+            assert_eq!(ntree(8, good.clone()), [""; 0], "{good}");
+        }
+        assert_eq!(ntree(8, json!({})), ["line_space/payload"]);
+        assert_eq!(ntree(8, json!({ "payload": "binary", "n": 6, "depth": 3 })), ["line_space/n", "line_space/depth"]);
+        assert_eq!(ntree(8, json!({ "payload": "binary", "builder": "clip" })), ["line_space/builder"]);
+        assert_eq!(ntree(13, json!({ "payload": "binary" })), ["n"]);
+        let approximate = json!({
+            "structure": "ntree", "line_space": { "payload": "binary" }, "policy": "approximate_occlusion",
+        });
+        assert_eq!(wrong(json!({ "acceleration": approximate })), ["policy"]);
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! Rays per second, memory and build time of every acceleration structure beside the two-level BVH, in the same run.
 //!
 //! `cargo bench -p lightshaft-engine --bench structures -- [--rounds 5] [--threads 2] [--rays 500000]
-//! [--scene FILE.glb]...`
+//! [--scene FILE.glb]... [--only PREFIX]...`
+//!
+//! Each N-tree is also measured with the Line Spaces of its nodes, right behind it; its ratio in brackets is to the tree without.
 //!
 //! Rounds are interleaved, so that a machine's moods meet all alike; the table shows medians, and in brackets the ratio
 //! to `two_level`. Rays: see `common/rays.rs`.
@@ -18,8 +20,8 @@ use std::sync::atomic::AtomicBool;
 use common::{Random, median, number, terrain, timed, values};
 use glam::{Affine3A, Vec3};
 use lightshaft_engine::accel::{
-    BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Placement, Quality, SceneAccel, Structure,
-    StructureParams, flatten,
+    BuildParams, CellShafts, GridParams, GridResolution, NTreeParams, OctreeParams, Placement, Quality, SceneAccel,
+    Structure, StructureParams, flatten,
 };
 use lightshaft_engine::pack::placements;
 use lightshaft_engine::scene::{Limits, Mesh, import_file};
@@ -47,6 +49,7 @@ fn flat_structures() -> Vec<(&'static str, StructureParams)> {
     let grid =
         |cells| StructureParams::Grid(GridParams { resolution: GridResolution::PerPrimitive(cells), budget_bytes });
     let ntree = |n, depth| StructureParams::NTree(NTreeParams { n, depth, max_leaf: 8, budget_bytes });
+    let asked = values("--only");
     vec![
         ("bvh medium", bvh(Quality::Medium)),
         ("bvh high", bvh(Quality::High)),
@@ -58,6 +61,9 @@ fn flat_structures() -> Vec<(&'static str, StructureParams)> {
         ("ntree (8, 3)", ntree(8, 3)),
         ("ntree (10, 3)", ntree(10, 3)),
     ]
+    .into_iter()
+    .filter(|(name, _)| asked.is_empty() || asked.iter().any(|asked| name.starts_with(asked.as_str())))
+    .collect()
 }
 
 struct Candidate {
@@ -65,6 +71,8 @@ struct Candidate {
     build_s: f64,
     bytes: usize,
     nodes: usize,
+    /// The candidate that its ratios are to.
+    base: usize,
     scene: Ours,
 }
 
@@ -72,7 +80,7 @@ impl Candidate {
     fn new(name: &'static str, build_s: f64, scene: SceneAccel) -> Self {
         let bytes = scene.structures().iter().map(Structure::bytes).sum::<usize>() + scene.top_bytes();
         let nodes = scene.structures().iter().map(Structure::node_count).sum::<usize>() + scene.top().nodes.len();
-        Self { name, build_s, bytes, nodes, scene: Ours(scene) }
+        Self { name, build_s, bytes, nodes, base: 0, scene: Ours(scene) }
     }
 }
 
@@ -100,7 +108,27 @@ fn run(name: &str, meshes: &[Arc<Mesh>], placements: &[Placement], threads: usiz
     for (name, params) in flat_structures() {
         match timed(|| Structure::build(&flat, &params, &AtomicBool::new(false))) {
             (build_s, Ok(built)) => {
-                candidates.push(Candidate::new(name, build_s, SceneAccel::flat(built, names.clone())))
+                let shafts = built.cells().filter(|_| params.kind() == "ntree").map(|tree| {
+                    timed(|| {
+                        CellShafts::build(tree, 0..tree.levels(), 8 << 30, &AtomicBool::new(false)).expect("builds")
+                    })
+                });
+                candidates.push(Candidate::new(name, build_s, SceneAccel::flat(built.clone(), names.clone())));
+                if let Some((shafts_s, shafts)) = shafts {
+                    println!(
+                        "{name}: line spaces of {} nodes, {:.1} MB, {:.3} of their shafts marked",
+                        shafts.count(),
+                        shafts.bytes() as f64 / 1e6,
+                        shafts.marked_share()
+                    );
+                    let bytes = shafts.bytes();
+                    let scene =
+                        SceneAccel::flat(built, names.clone()).with_cell_shafts(Arc::new(shafts)).expect("fits");
+                    let mut candidate = Candidate::new("  + line spaces", shafts_s, scene);
+                    candidate.bytes = bytes;
+                    candidate.base = candidates.len() - 1;
+                    candidates.push(candidate);
+                }
             }
             (_, Err(error)) => println!("{name}: {error}"),
         }
@@ -143,7 +171,7 @@ fn run(name: &str, meshes: &[Arc<Mesh>], placements: &[Placement], threads: usiz
     for (number, candidate) in candidates.iter().enumerate() {
         let megabytes = candidate.bytes as f64 / 1e6;
         print!("{:<26}{:>9.2}{megabytes:>9.1}{:>10}", candidate.name, candidate.build_s, candidate.nodes);
-        for (rate, base) in medians[number].iter().zip(&medians[0]) {
+        for (rate, base) in medians[number].iter().zip(&medians[candidate.base]) {
             print!("{:>18}", format!("{rate:.2} ({:.2})", rate / base));
         }
         println!("   hits {:?}", hits[number]);

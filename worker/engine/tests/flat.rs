@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use common::*;
 use glam::{Affine3A, Quat, Vec3};
+use lightshaft_engine::accel::line_space::MAX_MASK_N;
 use lightshaft_engine::accel::{
-    BuildError, BuildParams, GridParams, GridResolution, HitFilter, NTreeParams, OctreeParams, Placement, SceneAccel,
-    Structure, StructureParams, flat_hash, flatten,
+    BuildError, BuildParams, CellShafts, GridParams, GridResolution, HitFilter, NTreeParams, OctreeParams, Placement,
+    SceneAccel, Structure, StructureParams, flat_hash, flatten,
 };
 use lightshaft_engine::scene::{Mesh, MeshHash, Sphere};
 use lightshaft_engine::trace::{Counters, Hit, Kernels, Ray};
@@ -63,8 +64,21 @@ fn all_scenes(mesh: &Mesh) -> Vec<(StructureParams, SceneAccel)> {
             let scene = SceneAccel::build(vec![structure.clone()], &[place(Affine3A::IDENTITY)]);
             scenes.push((params, scene.with_kernels(kernels)));
         }
+        if matches!(params, StructureParams::NTree(NTreeParams { n: 0..=MAX_MASK_N, .. })) {
+            scenes.extend(Kernels::available().into_iter().map(|kernels| (params, gated(mesh, &params, kernels))));
+        }
     }
     scenes
+}
+
+/// The same in an N-tree with the Line Spaces of all of its nodes.
+fn gated(mesh: &Mesh, params: &StructureParams, kernels: Kernels) -> SceneAccel {
+    let (flat, names) = flatten(&[Arc::new(mesh.clone())], &[place(Affine3A::IDENTITY)]).expect("flattens");
+    let structure = build_any(&flat, params);
+    let tree = structure.cells().expect("a tree of cells");
+    let shafts = CellShafts::build(tree, 0..tree.levels(), BUDGET, &AtomicBool::new(false)).expect("builds");
+    let scene = SceneAccel::flat(structure, names).with_cell_shafts(Arc::new(shafts)).expect("of this tree");
+    scene.with_kernels(kernels)
 }
 
 /// Random rays, rays through corners and along edges of cells, and rays that start far away.
@@ -288,6 +302,36 @@ fn a_cancelled_build_stops_soon() {
             assert!(waited < Duration::from_millis(1000), "{params:?} took {waited:?} to stop");
         });
     }
+}
+
+#[test]
+fn rays_pass_empty_nodes_by_and_budgets_are_known_before() {
+    let mesh = ball(40, Vec3::ZERO, 1.0);
+    let (flat, names) = flatten(&[Arc::new(mesh)], &[place(Affine3A::IDENTITY)]).expect("flattens");
+    let structure = build_any(&flat, &ntree(6, 3, 4));
+    let tree = structure.cells().expect("a tree of cells");
+    let never = AtomicBool::new(false);
+    let needed = CellShafts::bytes_at_most(tree, &(0..3));
+    // 2,430 bytes in words, and the number of its place.
+    assert_eq!(needed, tree.node_count() as u64 * (2432 + 4));
+    let error = CellShafts::build(tree, 0..3, needed - 1, &never).expect_err("one byte too few");
+    assert!(error.to_string().contains(&needed.to_string()), "{error}");
+    let cancelled = CellShafts::build(tree, 0..3, BUDGET, &AtomicBool::new(true));
+    assert!(matches!(cancelled, Err(BuildError::Cancelled)));
+
+    let shafts = Arc::new(CellShafts::build(tree, 1..3, needed, &never).expect("fits"));
+    assert!(shafts.bytes() as u64 <= needed && shafts.count() > 0 && (0.0..1.0).contains(&shafts.marked_share()));
+    let other = build_any(&flat, &ntree(6, 2, 4));
+    assert!(SceneAccel::flat(other, names.clone()).with_cell_shafts(shafts.clone()).is_err(), "another tree");
+    let plain = SceneAccel::flat(structure.clone(), names.clone());
+    let gated = SceneAccel::flat(structure, names).with_cell_shafts(shafts).expect("of this tree");
+    let (mut without, mut with) = (Counters::default(), Counters::default());
+    for ray in rays(&flat, 5000, 77) {
+        let expected = plain.closest(&ray, &AcceptAll, &mut without);
+        assert_eq!(gated.closest(&ray, &AcceptAll, &mut with), expected, "{ray:?}");
+    }
+    assert!(with.gates.skipped_nodes * 10 > with.gates.node_look_ups, "{:?}", with.gates);
+    assert!(with.box_tests < without.box_tests && with.triangle_tests <= without.triangle_tests);
 }
 
 #[test]

@@ -122,6 +122,8 @@ fn add(metrics: &mut Metrics, stats: &PassStats) {
             mixed: of(Class::Mixed),
             approximated: gates.approximated,
             too_far: gates.too_far,
+            node_look_ups: gates.node_look_ups,
+            skipped_nodes: gates.skipped_nodes,
         }));
     }
 }

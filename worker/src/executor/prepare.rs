@@ -18,6 +18,7 @@ use lightshaft_engine::settings::{HdrImage, RenderSettings};
 use rayon::prelude::*;
 
 use super::devices::{Choice, OnDevice};
+use super::line_spaces::with_cell_shafts;
 use super::{Executor, IMPORT_STARTS, PREPARE_STARTS, Ready, STRUCTURES_START, Task, TaskError};
 use crate::cache::{Lru, Obtained, Recipe};
 use crate::settings::{self, Structures, Wanted};
@@ -179,7 +180,13 @@ impl Executor {
                     }
                 }
             }
-            Structures::Flat(params) => self.obtain_flat(task, scene, params, metrics)?,
+            Structures::Flat(params) => {
+                let accel = self.obtain_flat(task, scene, params, metrics)?;
+                match &wanted.line_spaces {
+                    None => accel,
+                    Some(wanted) => with_cell_shafts(accel, wanted, task.stop, &mut |w| task.warn(metrics, w))?,
+                }
+            }
         })
     }
 
@@ -308,6 +315,11 @@ pub(crate) fn count_structures(metrics: &mut Metrics, accel: &SceneAccel) {
     let asked = accel.asked_line_spaces() as u64;
     metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, asked, ..LineSpaceUse::default() });
     metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
+    if let Some(shafts) = accel.cell_shafts() {
+        let asked = u64::from(accel.asks_cell_shafts());
+        metrics.line_space = Some(LineSpaceUse { meshes: 1, asked, ..LineSpaceUse::default() });
+        metrics.line_space_bytes = shafts.bytes() as u64;
+    }
 }
 
 /// Bytes that an imported scene takes, roughly: geometry and images outweigh the rest.

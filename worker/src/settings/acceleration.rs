@@ -37,6 +37,8 @@ impl Wanted {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineSpaces {
     pub params: LineSpaceParams,
+    /// Levels below the root that have them; None for what the structure likes.
+    pub depth: Option<u32>,
     pub mesh_budget_bytes: u64,
     pub job_budget_bytes: u64,
     pub on_over_budget: OnOverBudget,
@@ -66,6 +68,7 @@ impl LineSpaces {
         };
         Self {
             params: LineSpaceParams { n: line_space.n_or_default(), payload },
+            depth: line_space.depth,
             mesh_budget_bytes: line_space.mesh_budget_bytes.unwrap_or(DEFAULT_MESH_BUDGET_BYTES),
             job_budget_bytes: line_space.job_budget_bytes.unwrap_or(DEFAULT_JOB_BUDGET_BYTES),
             on_over_budget: line_space.on_over_budget,

@@ -144,7 +144,7 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
             ANY_PAYLOAD,
             &current,
         ),
-        field("depth", "Depth", "levels", "0: the mesh's own box.", whole(l.depth, "0", "0")).when(
+        field("depth", "Depth", "levels", "0: the mesh's own box.", perhaps(l.depth, "0", "0")).when(
             PAYLOAD,
             ANY_PAYLOAD,
             &current,

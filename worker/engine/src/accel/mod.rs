@@ -27,7 +27,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
-pub use cells::{CellNode, CellTree, MAX_DIM};
+pub use cells::{CellNode, CellShafts, CellTree, MAX_DIM};
 pub use flat::{Names, flat_hash, flatten};
 pub use grid::{GridParams, GridResolution};
 pub use ntree::NTreeParams;

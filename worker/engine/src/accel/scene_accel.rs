@@ -7,9 +7,9 @@ use rayon::prelude::*;
 
 use super::compressed::CompressedBvh;
 use super::flat::{NamedSink, Names};
-use super::line_space::{Gates, LineSpace, SurfaceShafts, pays};
+use super::line_space::{Gates, LineSpace, SurfaceShafts, pays, pays_in_cells};
 use super::two_level::TwoLevel;
-use super::{Bvh2, Structure};
+use super::{Bvh2, CellShafts, Structure};
 use crate::scene::MeshHash;
 use crate::trace::{Counters, Hit, Kernels, ObjectRay, Ray, Sink};
 
@@ -53,7 +53,11 @@ pub struct SceneAccel {
 enum Form {
     TwoLevel(TwoLevel),
     /// One structure in world space.
-    Flat(Names),
+    Flat {
+        names: Names,
+        shafts: Option<Arc<CellShafts>>,
+        asks: bool,
+    },
 }
 
 /// The top level of a scene that has none.
@@ -73,7 +77,7 @@ impl SceneAccel {
 
     /// One structure over the mesh that [`flatten`](super::flatten) made, with the names that it gave.
     pub fn flat(structure: impl Into<Structure>, names: Names) -> Self {
-        let (form, gates) = (Form::Flat(names), Gates::default());
+        let (form, gates) = (Form::Flat { names, shafts: None, asks: false }, Gates::default());
         Self { structures: vec![structure.into()], form, gates, kernels: Kernels::detect() }
     }
 
@@ -95,7 +99,11 @@ impl SceneAccel {
 
     /// The same scene, in which only those Line Spaces are asked that are found, by a short measurement, to be faster than the
     /// structures behind them.
-    pub fn asking_where_it_pays(self) -> Self {
+    pub fn asking_where_it_pays(mut self) -> Self {
+        if let Form::Flat { shafts: Some(shafts), asks, .. } = &mut self.form {
+            *asks = self.structures[0].cells().is_some_and(|tree| pays_in_cells(shafts, tree, self.kernels));
+            return self;
+        }
         let pairs = self.gates.line_spaces.par_iter().zip(&self.structures);
         let kept = |(space, structure): (&Option<Arc<LineSpace>>, &Structure)| {
             space.clone().filter(|space| pays(space, structure, self.kernels))
@@ -123,6 +131,35 @@ impl SceneAccel {
     pub fn approximating_occlusion(self) -> Self {
         let asked = self.gates.line_spaces.clone();
         Self { gates: Gates { asked, approximate: true, ..self.gates }, ..self }
+    }
+
+    /// The same flat scene, whose rays pass by the nodes of its N-tree in which their shaft is empty. All answers stay the same.
+    ///
+    /// # Errors
+    /// When the scene is no single tree of cells, or `shafts` are those of another one.
+    pub fn with_cell_shafts(self, shafts: Arc<CellShafts>) -> Result<Self, String> {
+        let Form::Flat { names, .. } = self.form else {
+            return Err("line spaces of nodes need a flat scene".into());
+        };
+        match self.structures[0].cells() {
+            Some(tree) if shafts.fit(tree) => {
+                Ok(Self { form: Form::Flat { names, shafts: Some(shafts), asks: true }, ..self })
+            }
+            _ => Err(format!("line spaces of the nodes of a tree over {}, but the scene has another", shafts.mesh())),
+        }
+    }
+
+    /// The Line Spaces of the nodes of a flat scene's N-tree.
+    pub fn cell_shafts(&self) -> Option<&Arc<CellShafts>> {
+        match &self.form {
+            Form::Flat { shafts, .. } => shafts.as_ref(),
+            Form::TwoLevel(_) => None,
+        }
+    }
+
+    /// Whether those are asked: see [`Self::asking_where_it_pays`].
+    pub fn asks_cell_shafts(&self) -> bool {
+        matches!(self.form, Form::Flat { asks: true, .. })
     }
 
     fn check_gates(&self, what: &str, meshes: impl ExactSizeIterator<Item = Option<MeshHash>>) -> Result<(), String> {
@@ -192,11 +229,16 @@ impl SceneAccel {
                     scene.walk::<ANY, true>(ray, filter, sink, counters)
                 }
             }
-            Form::Flat(names) => {
+            Form::Flat { names, shafts, asks } => {
                 let structure = &self.structures[0];
                 let Some(object_ray) = ObjectRay::new(ray, &structure.bounds()) else { return false };
                 let mut sink = NamedSink { names, filter, ray, sink };
-                structure.walk(self.kernels, &object_ray, 0, &mut sink, counters)
+                match (structure.cells(), shafts) {
+                    (Some(tree), Some(shafts)) if *asks => {
+                        self.kernels.walk_cells(tree, Some(shafts), &object_ray, 0, &mut sink, counters)
+                    }
+                    _ => structure.walk(self.kernels, &object_ray, 0, &mut sink, counters),
+                }
             }
         }
     }
@@ -205,7 +247,7 @@ impl SceneAccel {
     pub fn top_bytes(&self) -> usize {
         match &self.form {
             Form::TwoLevel(top) => top.bytes(),
-            Form::Flat(names) => names.bytes(),
+            Form::Flat { names, .. } => names.bytes(),
         }
     }
 
@@ -213,7 +255,7 @@ impl SceneAccel {
     pub fn top(&self) -> &Bvh2 {
         match &self.form {
             Form::TwoLevel(top) => top.tree(),
-            Form::Flat(_) => &NO_TOP,
+            Form::Flat { .. } => &NO_TOP,
         }
     }
 
@@ -221,7 +263,7 @@ impl SceneAccel {
     pub(crate) fn compressed_top(&self) -> CompressedBvh {
         match &self.form {
             Form::TwoLevel(top) => top.compressed(),
-            Form::Flat(_) => CompressedBvh::default(),
+            Form::Flat { .. } => CompressedBvh::default(),
         }
     }
 
@@ -242,7 +284,7 @@ impl SceneAccel {
 
     /// Whether one structure holds all instances.
     pub fn is_flat(&self) -> bool {
-        matches!(self.form, Form::Flat(_))
+        matches!(self.form, Form::Flat { .. })
     }
 }
 

@@ -179,7 +179,7 @@ impl Structure {
     ) -> bool {
         match self {
             Self::Bvh(bvh) => kernels.walk_mesh(bvh.wide(), ray, instance, sink, counters),
-            Self::Cells(tree) => kernels.walk_cells(tree, ray, instance, sink, counters),
+            Self::Cells(tree) => kernels.walk_cells(tree, None, ray, instance, sink, counters),
         }
     }
 }

@@ -14,16 +14,19 @@ use super::kernel::Sink;
 use super::object_ray::ObjectRay;
 use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Portable};
-use crate::accel::cells::{CellTree, LEAF, MAX_LEVELS, ROUNDING};
+use crate::accel::cells::{CellShafts, CellTree, LEAF, MAX_LEVELS, ROUNDING};
+use crate::accel::line_space::Patch;
+use crate::accel::line_space::shaft::symmetric_index;
 use crate::accel::wide::LANES;
 
 /// Packets that a walk remembers as tested: large primitives stand in many cells one after the other.
 const REMEMBERED: usize = 8;
 
-/// Offers the sink what `ray` hits; true when it wants no more.
+/// Offers the sink what `ray` hits; true when it wants no more. Nodes whose shaft is empty are passed by.
 #[inline(always)]
 pub(super) fn walk<I: Isa, S: Sink>(
     tree: &CellTree,
+    shafts: Option<&CellShafts>,
     ray: &ObjectRay,
     instance: u32,
     sink: &mut S,
@@ -45,7 +48,10 @@ pub(super) fn walk<I: Isa, S: Sink>(
         return false;
     }
     let mut tester = Tester::<I, S>::new(tree, ray, instance, sink);
-    let stopped = step_through(tree, &lattice, start, &mut tester);
+    let stopped = match shafts {
+        None => step_through::<I, S, false>(tree, None, &lattice, start, &mut tester),
+        Some(_) => step_through::<I, S, true>(tree, shafts, &lattice, start, &mut tester),
+    };
     tester.count(counters);
     stopped
 }
@@ -118,8 +124,9 @@ struct Place {
 }
 
 #[inline(always)]
-fn step_through<I: Isa, S: Sink>(
+fn step_through<I: Isa, S: Sink, const GATED: bool>(
     tree: &CellTree,
+    shafts: Option<&CellShafts>,
     lattice: &LatticeRay<'_>,
     start: f32,
     tester: &mut Tester<'_, I, S>,
@@ -151,12 +158,19 @@ fn step_through<I: Isa, S: Sink>(
         let index = ((z * ny + y) * nx + x) as usize;
         if let Some(child) = tree.child(place.first_word, index) {
             if child & LEAF == 0 {
-                above[level].write(place);
-                level += 1;
-                place = enter(level, child, place.cell.map(|at| at * n), t);
-                continue;
-            }
-            if tester.test_list((child & !LEAF) as usize) {
+                let is_empty = GATED
+                    && shafts.and_then(|shafts| shafts.of_node(child)).is_some_and(|marks| {
+                        tester.look_ups += 1;
+                        is_empty(tree, lattice, marks, level, &place)
+                    });
+                if !is_empty {
+                    above[level].write(place);
+                    level += 1;
+                    place = enter(level, child, place.cell.map(|at| at * n), t);
+                    continue;
+                }
+                tester.skipped += 1;
+            } else if tester.test_list((child & !LEAF) as usize) {
                 return true;
             }
         }
@@ -189,6 +203,42 @@ fn step_through<I: Isa, S: Sink>(
             place = unsafe { above[level].assume_init() };
         }
     }
+}
+
+/// Whether the line of the ray meets nothing in the node that is the cell of `place`, a node of `level`.
+#[inline(always)]
+fn is_empty(tree: &CellTree, lattice: &LatticeRay<'_>, marks: &[u32], level: usize, place: &Place) -> bool {
+    let n = tree.n();
+    let upper: [bool; 3] = std::array::from_fn(|k| lattice.direction[k] > 0.0);
+    let near: [f32; 3] = std::array::from_fn(|k| match lattice.direction[k] != 0.0 {
+        true => lattice.t_at(level, k, place.cell[k] + u32::from(!upper[k])),
+        false => f32::NEG_INFINITY,
+    });
+    let far = place.t_next;
+    let mut enter = usize::from(near[1] > near[0]);
+    enter = if near[2] > near[enter] { 2 } else { enter };
+    let mut leave = usize::from(far[1] < far[0]);
+    leave = if far[2] < far[leave] { 2 } else { leave };
+    // Also where a number is not one.
+    if !(near[enter].abs() < f32::MAX && far[leave].abs() < f32::MAX) {
+        return false;
+    }
+    let patch = |axis: usize, is_upper: bool, t: f32| {
+        let at = |k: usize| {
+            let at = (lattice.origin[k] + t * lattice.direction[k]) * tree.inverse_cell(level + 1, k);
+            // The cast saturates.
+            (at as u32).clamp(place.cell[k] * n, place.cell[k] * n + n - 1) - place.cell[k] * n
+        };
+        Patch {
+            face: 2 * axis as u32 + u32::from(is_upper),
+            u: at(usize::from(axis == 0)),
+            v: at(2 - usize::from(axis == 2)),
+        }
+    };
+    let entry = patch(enter, !upper[enter], near[enter]);
+    let exit = patch(leave, upper[leave], far[leave]);
+    let index = symmetric_index(n, entry, exit) as usize;
+    marks[index / 32] >> (index % 32) & 1 == 0
 }
 
 /// The careful walk: within a node it goes slab by slab along the axis on which the ray crosses most cells, and looks at
@@ -286,18 +336,33 @@ struct Tester<'a, I: Isa, S> {
     next: usize,
     cells: u64,
     packets: u64,
+    look_ups: u64,
+    skipped: u64,
 }
 
 impl<'a, I: Isa, S: Sink> Tester<'a, I, S> {
     #[inline(always)]
     fn new(tree: &'a CellTree, ray: &ObjectRay, instance: u32, sink: &'a mut S) -> Self {
         let recent = [u32::MAX; REMEMBERED];
-        Self { tree, ray: PacketRay::new(ray), instance, sink, recent, next: 0, cells: 0, packets: 0 }
+        Self {
+            tree,
+            ray: PacketRay::new(ray),
+            instance,
+            sink,
+            recent,
+            next: 0,
+            cells: 0,
+            packets: 0,
+            look_ups: 0,
+            skipped: 0,
+        }
     }
 
     fn count(&self, counters: &mut Counters) {
         counters.box_tests += self.cells;
         counters.triangle_tests += self.packets * LANES as u64;
+        counters.gates.node_look_ups += self.look_ups;
+        counters.gates.skipped_nodes += self.skipped;
     }
 
     #[inline(always)]

@@ -12,7 +12,7 @@ use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Lanes, Portable};
 use super::{Counters, Hit, cells};
 use crate::accel::bvh2::MAX_DEPTH;
-use crate::accel::cells::CellTree;
+use crate::accel::cells::{CellShafts, CellTree};
 use crate::accel::wide::{ChildRef, Node, WIDTH, WideBvh};
 
 /// Takes hits as they are found.
@@ -201,21 +201,22 @@ impl Kernels {
         }
     }
 
-    /// Offers the sink what `ray` (in object space) hits in a tree of cells.
+    /// Offers the sink what `ray` (in object space) hits in a tree of cells, past nodes that `shafts` say nothing is met in.
     #[inline]
     pub(crate) fn walk_cells<S: Sink>(
         self,
         tree: &CellTree,
+        shafts: Option<&CellShafts>,
         ray: &ObjectRay,
         instance: u32,
         sink: &mut S,
         counters: &mut Counters,
     ) -> bool {
         match self {
-            Self::Portable => cells::walk::<Portable, S>(tree, ray, instance, sink, counters),
+            Self::Portable => cells::walk::<Portable, S>(tree, shafts, ray, instance, sink, counters),
             #[cfg(target_arch = "x86_64")]
             // SAFETY: `Avx2` is only made after the CPU was asked.
-            Self::Avx2 => unsafe { x86::walk_cells(tree, ray, instance, sink, counters) },
+            Self::Avx2 => unsafe { x86::walk_cells(tree, shafts, ray, instance, sink, counters) },
         }
     }
 
@@ -239,7 +240,7 @@ impl Kernels {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{CellTree, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh, cells};
+    use super::{CellShafts, CellTree, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh, cells};
     use crate::trace::simd::Avx2;
 
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
@@ -256,12 +257,13 @@ mod x86 {
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
     pub(super) fn walk_cells<S: Sink>(
         tree: &CellTree,
+        shafts: Option<&CellShafts>,
         ray: &ObjectRay,
         instance: u32,
         sink: &mut S,
         counters: &mut Counters,
     ) -> bool {
-        cells::walk::<Avx2, S>(tree, ray, instance, sink, counters)
+        cells::walk::<Avx2, S>(tree, shafts, ray, instance, sink, counters)
     }
 
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]

@@ -16,11 +16,14 @@
 
 mod build;
 mod check;
+mod shafts;
 mod store;
 
 use std::sync::atomic::AtomicBool;
 
 use glam::Vec3;
+
+pub use shafts::CellShafts;
 
 use super::overlap::{CellRange, Lattice};
 use super::wide::Packet;

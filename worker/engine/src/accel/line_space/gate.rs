@@ -55,6 +55,10 @@ pub struct GateCounters {
     pub beside: u64,
     /// Rays from too far away to be located.
     pub too_far: u64,
+    /// Nodes of a tree whose shaft was looked up.
+    pub node_look_ups: u64,
+    /// Of those, the ones that were passed by with all below them.
+    pub skipped_nodes: u64,
 }
 
 impl GateCounters {
@@ -85,6 +89,8 @@ impl std::ops::AddAssign for GateCounters {
         self.approximated += other.approximated;
         self.beside += other.beside;
         self.too_far += other.too_far;
+        self.node_look_ups += other.node_look_ups;
+        self.skipped_nodes += other.skipped_nodes;
     }
 }
 

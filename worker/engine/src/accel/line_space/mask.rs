@@ -26,32 +26,35 @@ use crate::scene::Mesh;
 pub const MAX_MASK_N: u32 = 12;
 
 /// For each cell of a box, x running fastest, the shafts that it meets.
-pub(super) struct MaskAtlas {
+pub(in crate::accel) struct MaskAtlas {
     words_per_cell: usize,
     masks: Vec<u32>,
 }
 
 impl MaskAtlas {
     /// Bytes of the atlas for `n`.
-    pub(super) fn bytes_needed(n: u32) -> u64 {
+    pub(in crate::accel) fn bytes_needed(n: u32) -> u64 {
         u64::from(n).pow(3) * symmetric_count(n).div_ceil(32) * 4
     }
 
-    /// The atlas for `n`, made once in a process and kept.
-    pub(super) fn get(n: u32, cancel: &AtomicBool) -> Result<Arc<Self>, BuildError> {
-        static ATLASES: OnceLock<Mutex<BTreeMap<u32, Arc<MaskAtlas>>>> = OnceLock::new();
+    /// The atlas for `n` and shafts that are grown by `growth` of the box's edges, made once in a process and kept.
+    pub(in crate::accel) fn get(n: u32, growth: f64, cancel: &AtomicBool) -> Result<Arc<Self>, BuildError> {
+        /// By N and the bits of the growth.
+        type Atlases = BTreeMap<(u32, u64), Arc<MaskAtlas>>;
+        static ATLASES: OnceLock<Mutex<Atlases>> = OnceLock::new();
         let atlases = ATLASES.get_or_init(Mutex::default);
-        let known = atlases.lock().unwrap_or_else(PoisonError::into_inner).get(&n).cloned();
+        let key = (n, growth.to_bits());
+        let known = atlases.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
         if let Some(atlas) = known {
             return Ok(atlas);
         }
         // Not under the lock: a second builder may do it twice, but can be cancelled.
-        let atlas = Arc::new(Self::build(n, cancel)?);
-        atlases.lock().unwrap_or_else(PoisonError::into_inner).insert(n, atlas.clone());
+        let atlas = Arc::new(Self::build(n, growth, cancel)?);
+        atlases.lock().unwrap_or_else(PoisonError::into_inner).insert(key, atlas.clone());
         Ok(atlas)
     }
 
-    fn build(n: u32, cancel: &AtomicBool) -> Result<Self, BuildError> {
+    fn build(n: u32, growth: f64, cancel: &AtomicBool) -> Result<Self, BuildError> {
         let words_per_cell = symmetric_count(n).div_ceil(32) as usize;
         let cells = n.pow(3) as usize;
         // Written by word of shafts, so that no two threads write one word.
@@ -63,7 +66,7 @@ impl MaskAtlas {
                 let shafts = 32 * word..(32 * word + 32).min(symmetric_count(n) as u32);
                 for index in shafts {
                     let (a, b) = symmetric_patches(n, index);
-                    let hull = Hull::new(n, a, b, DILATION);
+                    let hull = Hull::new(n, a, b, growth);
                     for_each_cell(n, &hull, |cell| column[cell] |= 1 << (index % 32));
                 }
                 Ok(column)
@@ -76,7 +79,7 @@ impl MaskAtlas {
         Ok(Self { words_per_cell, masks })
     }
 
-    pub(super) fn mask(&self, cell: usize) -> &[u32] {
+    pub(in crate::accel) fn mask(&self, cell: usize) -> &[u32] {
         &self.masks[cell * self.words_per_cell..][..self.words_per_cell]
     }
 }
@@ -106,7 +109,7 @@ pub(super) fn by_masking(
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
     let n = grid.n();
-    let atlas = MaskAtlas::get(n, cancel)?;
+    let atlas = MaskAtlas::get(n, DILATION, cancel)?;
     let lattice = lattice(&structure.bvh2().bounds(), grid, n);
     let filled: Vec<AtomicU64> = (0..n.pow(3).div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
     (0..mesh.primitive_count()).into_par_iter().with_min_len(4096).try_for_each(|primitive| {

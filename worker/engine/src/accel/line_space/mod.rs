@@ -35,10 +35,11 @@ pub use classes::{Class, ClassTable, ClassTree};
 pub use gate::GateCounters;
 pub(crate) use gate::{Gates, Verdict};
 pub use mask::MAX_MASK_N;
+pub(super) use mask::MaskAtlas;
 pub use params::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
 pub use shaft::{Chord, Location, Patch, ShaftGrid};
 pub use surface::{Evidence, SurfaceShaftParams, SurfaceShafts};
-pub(crate) use worth::pays;
+pub(crate) use worth::{pays, pays_in_cells};
 
 use super::{BuildError, CorruptStructure, MeshStructure, StructureKey};
 use crate::scene::{Mesh, MeshHash};

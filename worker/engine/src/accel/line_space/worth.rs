@@ -9,7 +9,7 @@ use glam::Vec3;
 
 use super::surface_rows::Scatter;
 use super::{GateCounters, LineSpace, Verdict};
-use crate::accel::Structure;
+use crate::accel::{CellShafts, CellTree, Structure};
 use crate::scene::Aabb;
 use crate::trace::{Counters, Hit, Kernels, ObjectRay, Ray, Sink};
 
@@ -19,6 +19,8 @@ const REPEATS: usize = 3;
 
 /// What a look-up has to spare, as a multiple of what it takes: in a scene its table is less often in the cache.
 const MARGIN: f64 = 1.5;
+/// The same of a whole walk through an N-tree: more than noise.
+const MARGIN_IN_CELLS: f64 = 1.1;
 
 /// Whether any-hit rays through the mesh are answered faster with its Line Space.
 pub(crate) fn pays(space: &LineSpace, structure: &Structure, kernels: Kernels) -> bool {
@@ -44,6 +46,24 @@ pub(crate) fn pays(space: &LineSpace, structure: &Structure, kernels: Kernels) -
         std::hint::black_box((hits, counters));
     });
     walking.as_secs_f64() > MARGIN * asking.as_secs_f64()
+}
+
+/// Whether any-hit rays through an N-tree are answered faster with the Line Spaces of its nodes, by [`MARGIN_IN_CELLS`].
+pub(crate) fn pays_in_cells(shafts: &CellShafts, tree: &CellTree, kernels: Kernels) -> bool {
+    let bounds = tree.bounds();
+    let rays = crossing(&bounds);
+    let time = |shafts: Option<&CellShafts>| {
+        least_time(|| {
+            let mut counters = Counters::default();
+            let mut hits = 0_u32;
+            for ray in &rays {
+                let Some(ray) = ObjectRay::new(ray, &bounds) else { continue };
+                hits += u32::from(kernels.walk_cells(tree, shafts, &ray, 0, &mut AnyHit, &mut counters));
+            }
+            std::hint::black_box((hits, counters));
+        })
+    };
+    time(None).as_secs_f64() > MARGIN_IN_CELLS * time(Some(shafts)).as_secs_f64()
 }
 
 fn least_time(mut work: impl FnMut()) -> Duration {
