@@ -3,6 +3,7 @@
 //! JSON is `snake_case`; times are RFC 3339 in UTC; sizes are in bytes and durations in seconds unless a name says
 //! otherwise. Types that come from outside deny unknown fields, so that a misspelt setting is an error with a name.
 
+pub mod benchmark;
 pub mod blob;
 pub mod client;
 pub mod event;

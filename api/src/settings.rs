@@ -1,5 +1,6 @@
-//! Settings of a render job. Every field has a default; unknown fields are refused.
+//! Settings of jobs. Every field has a default; unknown fields are refused.
 
+mod benchmark;
 mod choice;
 mod line_space;
 mod validate;
@@ -7,6 +8,7 @@ mod validate;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+pub use benchmark::{BenchmarkPreset, BenchmarkSettings, Configuration, Effect, file_name, validate_acceleration};
 pub use line_space::{Ask, BouncePolicy, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

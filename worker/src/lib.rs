@@ -5,6 +5,7 @@
 //!                                                                              └─► cache (blobs, structures, scenes)
 //! ```
 
+pub mod benchmark;
 pub mod cache;
 pub mod driver;
 pub mod executor;

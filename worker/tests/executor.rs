@@ -140,7 +140,7 @@ fn a_frame_leaves_pictures_and_metrics() {
     let outputs = executor()
         .run(&TaskWork::Frame, &small(), &generated("cornell-box"), &recorder, &AtomicBool::new(false))
         .unwrap();
-    let names: Vec<&str> = outputs.artifacts.iter().map(|artifact| artifact.name).collect();
+    let names: Vec<&str> = outputs.artifacts.iter().map(|artifact| &*artifact.name).collect();
     assert_eq!(names, ["image.png", "image.exr", "metrics.json"]);
     let png = image_size(&artifact(&outputs, "image.png").bytes);
     assert_eq!(png, (37, 23));

@@ -199,7 +199,7 @@ impl Environment {
 }
 
 impl CustomCamera {
-    fn validate(&self, prefix: &str, errors: &mut Vec<FieldError>) {
+    pub(super) fn validate(&self, prefix: &str, errors: &mut Vec<FieldError>) {
         let mut c = Checker { prefix, errors };
         c.finite3(self.position, "position");
         c.finite3(self.target, "target");

@@ -3,6 +3,7 @@
 //! Exit codes: 0 good, 1 the answer is no (a failed job, a comparison over its limit), 2 wrong usage or input, 3 service
 //! or system failure. With `--json` a command prints one JSON value on standard output; messages go to standard error.
 
+mod bench;
 mod compare;
 mod completions;
 mod devices;
@@ -69,6 +70,8 @@ enum Command {
     Workers(workers::Command),
     /// Render a scene file here, without a service.
     Render(Box<render::Args>),
+    /// Time spatial structures against each other, without a service: tables of the papers, or one's own.
+    Bench(Box<bench::Args>),
     /// Compare two pictures.
     Compare(compare::Args),
     /// List the devices of this machine.
@@ -101,6 +104,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Job(command) => block_on(job::run(command, global)),
         Command::Workers(command) => block_on(workers::run(command, global)),
         Command::Render(args) => render::run(&args, global),
+        Command::Bench(args) => bench::run(&args, global),
         Command::Compare(args) => compare::run(&args, global),
         Command::Devices => devices::run(global),
         Command::Completions(args) => completions::run(&args),
@@ -145,6 +149,7 @@ mod tests {
             "lightshaft",
             "lightshaft render",
             "lightshaft render a.glb",
+            "lightshaft bench",
             "lightshaft job submit",
             "lightshaft job list --limit 0",
             "lightshaft scene list --limit 0",
@@ -162,6 +167,9 @@ mod tests {
             "lightshaft render a.glb -o a.png --width 64 --height 48 --spp 16 --seed 1 --integrator path --max-bounces 4 \
              --device auto --acceleration {} --camera 0 --environment 1 --metrics m.json",
             "lightshaft compare a.png b.png --json --heat-map h.png --max-rmse 0.1 --max-flip 0.1",
+            "lightshaft bench keul-4.1 --scenes d --device cpu --repeat 5 --json out.json",
+            "lightshaft bench own.json --scene a.glb --csv o.csv --markdown o.md --heat-maps d",
+            "lightshaft bench --list --json",
             "lightshaft scene upload a.glb",
             "lightshaft scene list",
             "lightshaft scene show s",

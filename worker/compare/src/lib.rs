@@ -1,5 +1,5 @@
 //! How far two pictures are apart, in numbers and as a picture: RMSE, relative MSE, mean ratio, largest difference,
-//! count of differing pixels, SSIM and FLIP with its heat map. Pure functions on linear RGB images; no IO.
+//! count of differing pixels, SSIM and FLIP with its heat map; and how far two timings are apart. Pure functions; no IO.
 //!
 //! ```
 //! use lightshaft_compare::{Image, Options, compare};
@@ -20,6 +20,7 @@ mod report;
 mod ssim;
 #[cfg(test)]
 mod test_images;
+pub mod timing;
 
 pub use error::{Differences, REL_MSE_EPSILON, differences};
 pub use flip::{PIXELS_PER_DEGREE, flip};

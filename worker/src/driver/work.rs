@@ -221,11 +221,11 @@ impl Work {
             match put {
                 Ok(_) => break,
                 Err(error) if tries.again(&error).await? => {}
-                Err(error) => return Err(upload_error(artifact.name, &error)),
+                Err(error) => return Err(upload_error(&artifact.name, &error)),
             }
         }
         Ok(NewArtifact {
-            name: artifact.name.to_owned(),
+            name: artifact.name.to_string(),
             media_type: artifact.media_type.to_owned(),
             bytes: body.len() as u64,
             blob: hash,

@@ -29,14 +29,14 @@ impl fmt::Debug for Devices {
 
 /// One device of the machine.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Choice {
+pub(crate) enum Choice {
     Cpu,
     /// The first adapter whose name contains the text.
     Gpu(Option<String>),
 }
 
 /// A scene on a device, and which device that is.
-pub(super) struct OnDevice {
+pub(crate) struct OnDevice {
     pub renderer: Box<dyn Renderer>,
     pub info: DeviceInfo,
 }
@@ -63,7 +63,7 @@ impl Devices {
     }
 
     /// Which device a job gets. `auto` takes a GPU only where there is a real one.
-    pub(super) fn choose(&self, wanted: DeviceChoice, adapter: Option<&str>) -> Result<Choice, DeviceError> {
+    pub(crate) fn choose(&self, wanted: DeviceChoice, adapter: Option<&str>) -> Result<Choice, DeviceError> {
         let effective = match (self.allowed, wanted) {
             (DeviceChoice::Auto, wanted) => wanted,
             (allowed, DeviceChoice::Auto) => allowed,
@@ -93,7 +93,7 @@ impl Devices {
 
     /// Puts the scene on the device, opening it first where needed. A device that fails is closed, so that the next
     /// task opens it anew.
-    pub(super) fn prepare(
+    pub(crate) fn prepare(
         &self,
         choice: &Choice,
         scene: &Arc<PackedScene>,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-pub(super) fn versions() -> BTreeMap<String, String> {
+pub(crate) fn versions() -> BTreeMap<String, String> {
     BTreeMap::from([
         ("engine".to_owned(), lightshaft_engine::VERSION.to_owned()),
         ("structures".to_owned(), lightshaft_engine::accel::BUILDER_VERSION.to_string()),

@@ -28,10 +28,13 @@ use lightshaft_engine::scene::{ImportError, ImportErrorKind, Limits, Source};
 
 use crate::cache::{StructureCache, StructureStore};
 
+pub(crate) use devices::Choice;
 pub use devices::Devices;
+pub(crate) use metrics::versions;
 pub use output::Artifact;
 use part::Part;
 pub use part::name as name_of;
+pub(crate) use prepare::count_structures;
 
 /// Where a task's inputs come from.
 pub trait Inputs: Sync {
@@ -180,6 +183,10 @@ impl Executor {
 
     pub fn structures(&self) -> &StructureCache {
         &self.structures
+    }
+
+    pub(crate) fn limits(&self) -> &Limits {
+        &self.limits
     }
 
     /// Renders, and encodes the outputs. Blocks; uses rayon's global pool. `settings` must have been validated.

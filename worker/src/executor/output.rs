@@ -1,5 +1,7 @@
 //! The output phase: from sums to files.
 
+use std::borrow::Cow;
+
 use lightshaft_api::job::{Metrics, TaskWork};
 use lightshaft_api::settings::Output;
 use lightshaft_engine::film::{EncodeError, PassFilm, encode_exr, encode_png};
@@ -11,7 +13,7 @@ use crate::settings;
 /// A file that a task leaves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Artifact {
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     pub media_type: &'static str,
     pub bytes: Vec<u8>,
 }
@@ -25,8 +27,10 @@ pub(super) fn encode(task: &Task<'_>, part: &Part) -> Result<Vec<Artifact>, Task
     for output in &task.settings.outputs {
         task.check_stop()?;
         artifacts.push(match output {
-            Output::Png => Artifact { name: "image.png", media_type: "image/png", bytes: png(task, &part.film)? },
-            Output::Exr => Artifact { name: "image.exr", media_type: "image/x-exr", bytes: exr(task, part)? },
+            Output::Png => {
+                Artifact { name: "image.png".into(), media_type: "image/png", bytes: png(task, &part.film)? }
+            }
+            Output::Exr => Artifact { name: "image.exr".into(), media_type: "image/x-exr", bytes: exr(task, part)? },
         });
     }
     Ok(artifacts)
@@ -61,7 +65,7 @@ fn metadata(task: &Task<'_>, film: &PassFilm) -> Vec<(&'static str, String)> {
 pub(super) fn metrics_json(metrics: &Metrics) -> Result<Artifact, TaskError> {
     let bytes = serde_json::to_vec_pretty(metrics)
         .map_err(|error| TaskError::worker(format!("the metrics could not be written as JSON: {error}")))?;
-    Ok(Artifact { name: "metrics.json", media_type: "application/json", bytes })
+    Ok(Artifact { name: "metrics.json".into(), media_type: "application/json", bytes })
 }
 
 fn encode_error(error: EncodeError) -> TaskError {

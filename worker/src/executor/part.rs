@@ -27,7 +27,7 @@ impl Part {
         let mut bytes = (metrics.len() as u64).to_le_bytes().to_vec();
         bytes.extend_from_slice(&metrics);
         bytes.extend_from_slice(&encode_part(&self.film, self.aovs.as_ref()));
-        Ok(Artifact { name: NewArtifact::PART, media_type: "application/octet-stream", bytes })
+        Ok(Artifact { name: NewArtifact::PART.into(), media_type: "application/octet-stream", bytes })
     }
 }
 

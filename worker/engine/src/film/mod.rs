@@ -9,7 +9,7 @@ mod tonemap;
 pub use environment::{EnvironmentError, read_environment};
 pub use exr::encode_exr;
 pub use part::{Merger, PartError, encode_part};
-pub use png::encode_png;
+pub use png::{encode_png, encode_png_srgb8};
 pub use tonemap::{ToneMap, linear_to_srgb, to_srgb8};
 
 use crate::device::Region;

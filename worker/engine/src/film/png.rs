@@ -14,6 +14,17 @@ pub fn encode_png(
     metadata: &[(&str, String)],
 ) -> Result<Vec<u8>, EncodeError> {
     super::check_size(width, height, radiance.len())?;
+    encode_png_srgb8(width, height, &to_srgb8(radiance, tone_map, exposure_stops), metadata)
+}
+
+/// Encodes colours as they are: sRGB, 8 bits, three bytes a pixel.
+pub fn encode_png_srgb8(
+    width: u32,
+    height: u32,
+    srgb: &[u8],
+    metadata: &[(&str, String)],
+) -> Result<Vec<u8>, EncodeError> {
+    super::check_size(width, height, srgb.len() / 3)?;
     let failed = |e: png::EncodingError| EncodeError(format!("PNG: {e}"));
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
@@ -24,7 +35,7 @@ pub fn encode_png(
         encoder.add_itxt_chunk((*keyword).to_owned(), text.clone()).map_err(failed)?;
     }
     let mut writer = encoder.write_header().map_err(failed)?;
-    writer.write_image_data(&to_srgb8(radiance, tone_map, exposure_stops)).map_err(failed)?;
+    writer.write_image_data(srgb).map_err(failed)?;
     writer.finish().map_err(failed)?;
     Ok(bytes)
 }
