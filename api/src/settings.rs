@@ -3,13 +3,15 @@
 mod benchmark;
 mod choice;
 mod line_space;
+mod policy;
 mod validate;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 pub use benchmark::{BenchmarkPreset, BenchmarkSettings, Configuration, Effect, file_name, validate_acceleration};
-pub use line_space::{Ask, BouncePolicy, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
+pub use line_space::{Ask, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
+pub use policy::{Adaptive, BouncePolicy, OriginNode, OriginObject, Policy, Representative, RepresentativeOrigin};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -262,6 +264,12 @@ pub struct Acceleration {
     pub line_space: Option<LineSpace>,
     /// What `line_space` is used for.
     pub policy: Policy,
+    /// Of policy `approximate_occlusion`, with boxes below the mesh's own: what is done in the box in which a ray starts.
+    pub origin_node: OriginNode,
+    /// Of policy `adaptive`.
+    pub adaptive: Adaptive,
+    /// Of policy `representative`.
+    pub representative: Representative,
 }
 
 impl Default for Acceleration {
@@ -278,6 +286,9 @@ impl Default for Acceleration {
             budget_bytes: None,
             line_space: None,
             policy: Policy::Exact,
+            origin_node: OriginNode::default(),
+            adaptive: Adaptive::default(),
+            representative: Representative::default(),
         }
     }
 }

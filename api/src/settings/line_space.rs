@@ -3,12 +3,14 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::StructureKind;
 use super::validate::Checker;
-use super::{Acceleration, DeviceChoice, StructureKind};
 use crate::problem::FieldError;
 
 /// Of budgets: enough for any coarse Line Space.
 const MIN_BUDGET_BYTES: u64 = 1 << 10;
+/// Deepest boxes of a mesh's BVH that can have Line Spaces.
+const MAX_DEPTH: u32 = 12;
 
 /// A Line Space for each mesh of the scene, or for each node of its N-tree: the faces of a box are cut into patches, and
 /// something is stored for each pair of patches. Those of meshes are cached and shared by mesh, as structures are.
@@ -93,86 +95,6 @@ pub enum Ask {
     Always,
 }
 
-/// What Line Spaces are used for.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Policy {
-    /// Only for what they prove: the picture is that of the structure alone, bit for bit.
-    #[default]
-    Exact,
-    /// Shadow and ambient-occlusion rays that cross the whole box of a mesh are blocked by every shaft that holds something;
-    /// with payload `coverage`, with the probability that it gives.
-    ApproximateOcclusion,
-    /// Not available yet: as that, where an object is far or small enough.
-    Adaptive,
-    /// Not available yet: indirect rays end on candidates.
-    Representative,
-    /// Not available yet: a policy for each bounce, the last one repeating.
-    PerBounce(Vec<BouncePolicy>),
-}
-
-/// What Line Spaces are used for in one bounce.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum BouncePolicy {
-    Exact,
-    ApproximateOcclusion,
-    Adaptive,
-    Representative,
-}
-
-/// Policies that are available.
-const AVAILABLE: &str = "exact and approximate_occlusion are";
-
-impl Acceleration {
-    /// What is wrong with Line Spaces and policy, with pointers below `prefix`.
-    pub(super) fn validate_line_space(&self, device: DeviceChoice, prefix: &str, errors: &mut Vec<FieldError>) {
-        let mut c = Checker { prefix, errors };
-        c.check(
-            matches!(self.policy, Policy::Exact | Policy::ApproximateOcclusion),
-            "policy",
-            &format!("{} is not available yet: {AVAILABLE}", self.policy.name()),
-        );
-        let needs_none = self.policy != Policy::ApproximateOcclusion;
-        c.check(needs_none || self.line_space.is_some(), "policy", "approximate_occlusion needs a line_space");
-        let Some(line_space) = &self.line_space else { return };
-        c.check(
-            matches!(self.structure, StructureKind::TwoLevel | StructureKind::NTree),
-            "line_space",
-            "line spaces are available with structures two_level and ntree alone",
-        );
-        c.check(
-            device != DeviceChoice::Gpu,
-            "line_space",
-            "must be null on device gpu: line spaces are asked by the CPU alone; device auto chooses it",
-        );
-        if self.structure == StructureKind::NTree {
-            self.validate_nodes(line_space, prefix, errors);
-        }
-        line_space.validate(self.structure, &format!("{prefix}/line_space"), errors);
-    }
-
-    /// Line Spaces of the nodes of an N-tree: as many patches as cells, from which they are made.
-    fn validate_nodes(&self, line_space: &LineSpace, prefix: &str, errors: &mut Vec<FieldError>) {
-        let mut c = Checker { prefix, errors };
-        let (n, levels) = (self.n.unwrap_or(6), self.depth.unwrap_or(3));
-        c.check(self.policy == Policy::Exact, "policy", "must be exact with structure ntree");
-        let fits = line_space.payload == LineSpacePayload::Binary;
-        c.check(fits, "line_space/payload", "must be binary with structure ntree");
-        let fits = line_space.builder.is_none_or(|builder| builder == LineSpaceBuilder::Mask);
-        c.check(fits, "line_space/builder", "must be mask with structure ntree");
-        c.check(n <= 12, "n", "must be 2 to 12 with a line_space: masks grow with its seventh power");
-        let fits = line_space.n.is_none_or(|patches| patches == n);
-        c.check(fits, "line_space/n", &format!("must be the structure's n, {n}, or null"));
-        let fits = line_space.depth.is_none_or(|depth| depth < levels);
-        c.check(
-            fits,
-            "line_space/depth",
-            &format!("must be 0 to {}, below the structure's depth, or null", levels.max(1) - 1),
-        );
-    }
-}
-
 impl LineSpace {
     /// The `n` that is given, or the default of the payload.
     pub fn n_or_default(&self) -> u32 {
@@ -193,7 +115,7 @@ impl LineSpace {
         self.hierarchical.unwrap_or([4, 8, 16, 32].contains(&self.n_or_default()))
     }
 
-    fn validate(&self, structure: StructureKind, prefix: &str, errors: &mut Vec<FieldError>) {
+    pub(super) fn validate(&self, structure: StructureKind, prefix: &str, errors: &mut Vec<FieldError>) {
         let mut c = Checker { prefix, errors };
         let payload = self.payload;
         let is_masked = payload == LineSpacePayload::Binary && self.builder_or_default() == LineSpaceBuilder::Mask;
@@ -201,8 +123,8 @@ impl LineSpace {
         let of_masks = if is_masked { " with builder mask" } else { "" };
         let in_range = (1..=most).contains(&self.n_or_default());
         c.check(in_range, "n", &format!("must be 1 to {most}{of_masks}"));
-        let is_deep = structure != StructureKind::NTree && self.depth.is_some_and(|depth| depth > 0);
-        c.check(!is_deep, "depth", "must be 0: deeper boxes of meshes have no line spaces yet");
+        let is_deep = structure != StructureKind::NTree && self.depth.is_some_and(|depth| depth > MAX_DEPTH);
+        c.check(!is_deep, "depth", "must be 0 to 12");
         let fits = payload.builders().contains(&self.builder_or_default());
         c.check(fits, "builder", &format!("must be {} for this payload", payload.builder_names()));
         let mut applies = |is_given: bool, field: &str, to: LineSpacePayload, name: &str| {
@@ -250,18 +172,6 @@ impl LineSpacePayload {
     }
 }
 
-impl Policy {
-    fn name(&self) -> &'static str {
-        match self {
-            Self::Exact => "exact",
-            Self::ApproximateOcclusion => "approximate_occlusion",
-            Self::Adaptive => "adaptive",
-            Self::Representative => "representative",
-            Self::PerBounce(_) => "per_bounce",
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use serde_json::{Value, json};
@@ -297,7 +207,7 @@ mod tests {
         ] {
             assert_eq!(wrong_line_space(good.clone()), [""; 0], "{good}");
         }
-        assert_eq!(wrong_line_space(json!({ "n": 0, "depth": 1 })), ["n", "depth"]);
+        assert_eq!(wrong_line_space(json!({ "n": 0, "depth": 13 })), ["policy", "n", "depth"]);
         assert_eq!(wrong_line_space(json!({ "n": 33 })), ["n"]);
         assert_eq!(wrong_line_space(json!({ "payload": "binary", "n": 13 })), ["n"]);
         assert_eq!(wrong_line_space(json!({ "payload": "candidate", "builder": "mask" })), ["builder"]);
@@ -307,55 +217,5 @@ mod tests {
         assert_eq!(wrong_line_space(misplaced), fields);
         let budgets = json!({ "mesh_budget_bytes": 5, "job_budget_bytes": 1023 });
         assert_eq!(wrong_line_space(budgets), ["mesh_budget_bytes", "job_budget_bytes"]);
-    }
-
-    #[test]
-    fn what_cannot_be_combined_is_refused_at_its_place() {
-        let on_gpu = json!({ "device": "gpu", "acceleration": { "line_space": {} } });
-        assert_eq!(wrong(on_gpu), ["line_space"]);
-        assert_eq!(wrong(json!({ "acceleration": { "structure": "octree", "line_space": {} } })), ["line_space"]);
-    }
-
-    #[test]
-    fn nodes_of_an_ntree_have_as_many_patches_as_cells() {
-        let ntree = |n: u32, line_space: Value| {
-            wrong(json!({ "acceleration": { "structure": "ntree", "n": n, "depth": 3, "line_space": line_space } }))
-        };
-        for good in [
-            json!({ "payload": "binary" }),
-            json!({ "payload": "binary", "n": 8, "depth": 2, "builder": "mask" }),
-            json!({ "payload": "binary", "ask": "always", "on_over_budget": "skip" }),
-        ] {
-            assert_eq!(ntree(8, good.clone()), [""; 0], "{good}");
-        }
-        assert_eq!(ntree(8, json!({})), ["line_space/payload"]);
-        assert_eq!(ntree(8, json!({ "payload": "binary", "n": 6, "depth": 3 })), ["line_space/n", "line_space/depth"]);
-        assert_eq!(ntree(8, json!({ "payload": "binary", "builder": "clip" })), ["line_space/builder"]);
-        assert_eq!(ntree(13, json!({ "payload": "binary" })), ["n"]);
-        let approximate = json!({
-            "structure": "ntree", "line_space": { "payload": "binary" }, "policy": "approximate_occlusion",
-        });
-        assert_eq!(wrong(json!({ "acceleration": approximate })), ["policy"]);
-    }
-
-    #[test]
-    fn policies_that_are_not_there_yet_say_which_are() {
-        for policy in [json!("adaptive"), json!("representative"), json!({ "per_bounce": ["exact", "representative"] })]
-        {
-            let settings = json!({ "acceleration": { "line_space": {}, "policy": policy } });
-            let settings: RenderSettings = serde_json::from_value(settings).unwrap();
-            let [error] = &settings.validate("/settings")[..] else { panic!("one error for {policy}") };
-            assert_eq!(error.pointer, "/settings/acceleration/policy");
-            assert!(
-                error.detail.ends_with("is not available yet: exact and approximate_occlusion are"),
-                "{}",
-                error.detail
-            );
-        }
-        assert!(serde_json::from_value::<RenderSettings>(json!({ "acceleration": { "policy": "quick" } })).is_err());
-        let approximate =
-            |line_space| json!({ "acceleration": { "line_space": line_space, "policy": "approximate_occlusion" } });
-        assert_eq!(wrong(approximate(json!({ "payload": "coverage" }))), [""; 0]);
-        assert_eq!(wrong(approximate(Value::Null)), ["policy"]);
     }
 }

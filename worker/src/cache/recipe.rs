@@ -3,9 +3,9 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Weak};
 
-use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams};
+use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams, NodeSpaceParams, NodeSpaces};
 use lightshaft_engine::accel::{
-    BuildError, CorruptStructure, MeshStructure, Structure, StructureKey, StructureParams, WeakStructure,
+    BuildError, BuildParams, CorruptStructure, MeshStructure, Structure, StructureKey, StructureParams, WeakStructure,
 };
 use lightshaft_engine::scene::Mesh;
 
@@ -37,6 +37,7 @@ pub trait Cached: Clone + Into<Kept> {
 pub enum Kept {
     Structure(Structure),
     LineSpace(Arc<LineSpace>),
+    NodeSpaces(Arc<NodeSpaces>),
 }
 
 /// The same, kept only as long as somebody else uses it.
@@ -44,6 +45,7 @@ pub enum Kept {
 pub(super) enum WeakKept {
     Structure(WeakStructure),
     LineSpace(Weak<LineSpace>),
+    NodeSpaces(Weak<NodeSpaces>),
 }
 
 impl Kept {
@@ -51,6 +53,7 @@ impl Kept {
         match self {
             Self::Structure(structure) => Cached::bytes(structure),
             Self::LineSpace(space) => Cached::bytes(space),
+            Self::NodeSpaces(spaces) => Cached::bytes(spaces),
         }
     }
 
@@ -58,6 +61,7 @@ impl Kept {
         match self {
             Self::Structure(structure) => WeakKept::Structure(structure.downgrade()),
             Self::LineSpace(space) => WeakKept::LineSpace(Arc::downgrade(space)),
+            Self::NodeSpaces(spaces) => WeakKept::NodeSpaces(Arc::downgrade(spaces)),
         }
     }
 }
@@ -67,6 +71,7 @@ impl WeakKept {
         match self {
             Self::Structure(structure) => structure.upgrade().map(Kept::Structure),
             Self::LineSpace(space) => space.upgrade().map(Kept::LineSpace),
+            Self::NodeSpaces(spaces) => spaces.upgrade().map(Kept::NodeSpaces),
         }
     }
 
@@ -74,6 +79,7 @@ impl WeakKept {
         match self {
             Self::Structure(structure) => structure.is_alive(),
             Self::LineSpace(space) => space.strong_count() > 0,
+            Self::NodeSpaces(spaces) => spaces.strong_count() > 0,
         }
     }
 }
@@ -98,7 +104,7 @@ impl Cached for Structure {
     fn from_kept(kept: Kept) -> Option<Self> {
         match kept {
             Kept::Structure(structure) => Some(structure),
-            Kept::LineSpace(_) => None,
+            Kept::LineSpace(_) | Kept::NodeSpaces(_) => None,
         }
     }
 
@@ -146,7 +152,7 @@ impl Cached for Arc<LineSpace> {
     fn from_kept(kept: Kept) -> Option<Self> {
         match kept {
             Kept::LineSpace(space) => Some(space),
-            Kept::Structure(_) => None,
+            Kept::Structure(_) | Kept::NodeSpaces(_) => None,
         }
     }
 
@@ -162,5 +168,54 @@ impl Cached for Arc<LineSpace> {
 impl From<Arc<LineSpace>> for Kept {
     fn from(space: Arc<LineSpace>) -> Self {
         Self::LineSpace(space)
+    }
+}
+
+/// How the Line Spaces of the nodes of a mesh's BVH are made.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeSpacesRecipe<'a> {
+    pub params: NodeSpaceParams,
+    /// Whose nodes they are, and how it was built.
+    pub structure: &'a MeshStructure,
+    pub over: BuildParams,
+    pub budget_bytes: u64,
+}
+
+impl Recipe for NodeSpacesRecipe<'_> {
+    type Product = Arc<NodeSpaces>;
+
+    fn key(&self, mesh: &Mesh) -> StructureKey {
+        self.params.key(mesh.hash, &self.over)
+    }
+
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Arc<NodeSpaces>, BuildError> {
+        NodeSpaces::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new)
+    }
+
+    fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Arc<NodeSpaces>, CorruptStructure> {
+        NodeSpaces::decode(bytes, mesh, self.structure, &self.params).map(Arc::new)
+    }
+}
+
+impl Cached for Arc<NodeSpaces> {
+    fn from_kept(kept: Kept) -> Option<Self> {
+        match kept {
+            Kept::NodeSpaces(spaces) => Some(spaces),
+            Kept::Structure(_) | Kept::LineSpace(_) => None,
+        }
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        NodeSpaces::encode(self)
+    }
+
+    fn bytes(&self) -> u64 {
+        NodeSpaces::bytes(self) as u64
+    }
+}
+
+impl From<Arc<NodeSpaces>> for Kept {
+    fn from(spaces: Arc<NodeSpaces>) -> Self {
+        Self::NodeSpaces(spaces)
     }
 }

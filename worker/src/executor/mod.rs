@@ -11,6 +11,7 @@
 mod devices;
 mod line_spaces;
 mod metrics;
+mod node_spaces;
 mod output;
 mod part;
 mod passes;

@@ -21,7 +21,7 @@ use super::devices::{Choice, OnDevice};
 use super::line_spaces::with_cell_shafts;
 use super::{Executor, IMPORT_STARTS, PREPARE_STARTS, Ready, STRUCTURES_START, Task, TaskError};
 use crate::cache::{Lru, Obtained, Recipe};
-use crate::settings::{self, Structures, Wanted};
+use crate::settings::{self, LineSpaces, Structures, Wanted};
 
 /// Pixels of the largest environment map: 16384 x 8192.
 const MAX_MAP_PIXELS: u64 = 1 << 27;
@@ -166,14 +166,17 @@ impl Executor {
         Ok(match &wanted.structures {
             Structures::PerMesh(params) => {
                 let structures = self.obtain_structures(task, scene, params, metrics)?;
-                let spaces = match &wanted.line_spaces {
-                    None => None,
-                    Some(wanted) => Some(self.obtain_line_spaces(task, scene, &structures, wanted)?),
-                };
-                let accel = SceneAccel::build(structures, &pack::placements(scene));
-                match spaces {
-                    None => accel,
-                    Some(mut obtained) => {
+                let placements = pack::placements(scene);
+                match &wanted.line_spaces {
+                    None => SceneAccel::build(structures, &placements),
+                    Some(LineSpaces { rules: Some(_), .. }) => {
+                        let meshes: Vec<&Mesh> = scene.meshes.iter().map(|mesh| &**mesh).collect();
+                        let accel = SceneAccel::build(structures, &placements);
+                        self.with_node_spaces(task, accel, &meshes, wanted, metrics)?
+                    }
+                    Some(line_spaces) => {
+                        let mut obtained = self.obtain_line_spaces(task, scene, &structures, line_spaces)?;
+                        let accel = SceneAccel::build(structures, &placements);
                         metrics.cache.append(&mut obtained.reports);
                         std::mem::take(&mut obtained.warnings).into_iter().for_each(|w| task.warn(metrics, w));
                         obtained.given_to(accel).map_err(TaskError::worker)?
@@ -181,9 +184,12 @@ impl Executor {
                 }
             }
             Structures::Flat(params) => {
-                let accel = self.obtain_flat(task, scene, params, metrics)?;
+                let (flat, accel) = self.obtain_flat(task, scene, params, metrics)?;
                 match &wanted.line_spaces {
                     None => accel,
+                    Some(LineSpaces { rules: Some(_), .. }) => {
+                        self.with_node_spaces(task, accel, &[&flat], wanted, metrics)?
+                    }
                     Some(wanted) => with_cell_shafts(accel, wanted, task.stop, &mut |w| task.warn(metrics, w))?,
                 }
             }
@@ -238,11 +244,12 @@ impl Executor {
         scene: &Scene,
         params: &StructureParams,
         metrics: &mut Metrics,
-    ) -> Result<SceneAccel, TaskError> {
+    ) -> Result<(Mesh, SceneAccel), TaskError> {
         let (flat, names) = flatten(&scene.meshes, &pack::placements(scene)).map_err(build_error)?;
         task.check_stop()?;
         let obtained = task.structures.get(&flat, params, None, task.stop).map_err(build_error)?;
-        Ok(SceneAccel::flat(take(obtained, task, metrics), names))
+        let accel = SceneAccel::flat(take(obtained, task, metrics), names);
+        Ok((flat, accel))
     }
 
     fn on_device(
@@ -288,7 +295,7 @@ fn take(obtained: Obtained, task: &Task<'_>, metrics: &mut Metrics) -> Structure
     obtained.structure
 }
 
-fn build_error(error: BuildError) -> TaskError {
+pub(super) fn build_error(error: BuildError) -> TaskError {
     match error {
         BuildError::Cancelled => TaskError::Stopped,
         BuildError::Unsupported(why) => TaskError::bad_input(format!("/settings/acceleration: {why}")),
@@ -315,6 +322,12 @@ pub(crate) fn count_structures(metrics: &mut Metrics, accel: &SceneAccel) {
     let asked = accel.asked_line_spaces() as u64;
     metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, asked, ..LineSpaceUse::default() });
     metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
+    let nodes = accel.node_spaces();
+    if !nodes.is_empty() {
+        let meshes = nodes.iter().flatten().count() as u64;
+        metrics.line_space = Some(LineSpaceUse { meshes, asked: meshes, ..LineSpaceUse::default() });
+        metrics.line_space_bytes = nodes.iter().flatten().map(|nodes| nodes.bytes() as u64).sum();
+    }
     if let Some(shafts) = accel.cell_shafts() {
         let asked = u64::from(accel.asks_cell_shafts());
         metrics.line_space = Some(LineSpaceUse { meshes: 1, asked, ..LineSpaceUse::default() });

@@ -1,9 +1,12 @@
 //! Which structures and Line Spaces a job asks for.
 
 use lightshaft_api::settings::{self as api, Ask, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
-use lightshaft_engine::accel::line_space::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
+use lightshaft_engine::accel::line_space::{
+    BinaryBuilder, CandidateRules, CastPattern, ClassLayout, LineSpaceParams, NodeSpaceParams, Payload,
+};
 use lightshaft_engine::accel::{
-    BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams, Quality, StructureParams,
+    AdaptiveRules, Approximation, BouncePolicy, BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams,
+    Quality, StructureParams,
 };
 
 /// What a structure of cells may take when the job does not say.
@@ -13,7 +16,7 @@ const DEFAULT_MESH_BUDGET_BYTES: u64 = 256 << 20;
 const DEFAULT_JOB_BUDGET_BYTES: u64 = 4 << 30;
 
 /// All that is built before rays are traced.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     pub structures: Structures,
     pub line_spaces: Option<LineSpaces>,
@@ -23,7 +26,10 @@ impl Wanted {
     /// Of settings that have been validated.
     pub fn of(acceleration: &api::Acceleration) -> Self {
         let approximate = acceleration.policy == Policy::ApproximateOcclusion;
-        let line_spaces = acceleration.line_space.as_ref().map(|line_space| LineSpaces::of(line_space, approximate));
+        let line_spaces = acceleration.line_space.as_ref().map(|line_space| LineSpaces {
+            rules: acceleration.asks_nodes().then(|| approximation(acceleration)),
+            ..LineSpaces::of(line_space, approximate)
+        });
         Self { structures: Structures::of(acceleration), line_spaces }
     }
 
@@ -34,7 +40,7 @@ impl Wanted {
 }
 
 /// A Line Space for each mesh, within budgets.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LineSpaces {
     pub params: LineSpaceParams,
     /// Levels below the root that have them; None for what the structure likes.
@@ -45,6 +51,8 @@ pub struct LineSpaces {
     pub ask: Ask,
     /// Whether occlusion rays take for true what is not proven.
     pub approximate: bool,
+    /// What the Line Spaces of the boxes of BVHs are used for; None for a policy that asks whole meshes, or cells.
+    pub rules: Option<Approximation>,
 }
 
 impl LineSpaces {
@@ -74,7 +82,41 @@ impl LineSpaces {
             on_over_budget: line_space.on_over_budget,
             ask: line_space.ask,
             approximate,
+            rules: None,
         }
+    }
+}
+
+impl LineSpaces {
+    /// Those of the boxes of a BVH.
+    pub fn of_nodes(&self) -> NodeSpaceParams {
+        NodeSpaceParams { each: self.params, depth: self.depth.unwrap_or(0) }
+    }
+}
+
+fn approximation(acceleration: &api::Acceleration) -> Approximation {
+    let (adaptive, candidates) = (&acceleration.adaptive, &acceleration.representative);
+    let bounce = |policy| match policy {
+        api::BouncePolicy::Exact => BouncePolicy::Exact,
+        api::BouncePolicy::ApproximateOcclusion => BouncePolicy::Occlusion,
+        api::BouncePolicy::Adaptive => BouncePolicy::Adaptive,
+        api::BouncePolicy::Representative => BouncePolicy::Representative,
+    };
+    let angle = candidates.angle_threshold_deg;
+    Approximation {
+        bounces: acceleration.policy.bounces().into_iter().map(bounce).collect(),
+        exact_origin: acceleration.origin_node == api::OriginNode::Exact,
+        adaptive: AdaptiveRules {
+            delta: adaptive.delta,
+            interpolate: adaptive.interpolate,
+            disc: adaptive.disc_sampling,
+            exact_origin: adaptive.origin_object == api::OriginObject::Exact,
+        },
+        candidates: CandidateRules {
+            min_cosine: if angle >= 180.0 { -1.0 } else { angle.to_radians().cos() },
+            range_slack: candidates.range_slack,
+            exact_origin: candidates.origin_node == api::RepresentativeOrigin::Exact,
+        },
     }
 }
 

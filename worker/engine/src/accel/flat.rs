@@ -123,6 +123,11 @@ impl Names {
         size_of_val(self.instances.as_slice())
     }
 
+    /// Whether any hit goes through a filter.
+    pub(super) fn any_filtered(&self) -> bool {
+        self.instances.iter().any(|range| range.filtered)
+    }
+
     /// Gives a hit on the flat mesh its instance and primitive; and whether it goes through the filter.
     #[inline]
     fn name(&self, hit: Hit) -> (Hit, bool) {

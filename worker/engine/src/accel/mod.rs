@@ -5,6 +5,7 @@
 //! [`SceneAccel`] is what rays are traced against: structures placed in the world under a top level, or one structure over
 //! all instances in world space ([flat]). Whatever the structure, the same ray has the same hits.
 
+mod approximate;
 mod build;
 pub(crate) mod bvh2;
 pub(crate) mod cells;
@@ -23,9 +24,11 @@ mod structure;
 mod two_level;
 pub(crate) mod wide;
 
+use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
+pub use approximate::{AdaptiveRules, Approximation, BouncePolicy, Purpose};
 pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
 pub use cells::{CellNode, CellShafts, CellTree, MAX_DIM};
 pub use flat::{Names, flat_hash, flatten};
@@ -37,7 +40,7 @@ pub use structure::{Structure, StructureParams, WeakStructure};
 
 use crate::scene::{Aabb, Mesh, MeshHash};
 use compressed::CompressedBvh;
-use wide::{Role, WideBvh};
+use wide::{ChildRef, Role, WideBvh};
 
 /// How a BVH is to be built. [`Self::canonical`] is its part of the cache key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -211,5 +214,40 @@ impl MeshStructure {
 
     fn wide(&self) -> &WideBvh {
         &self.wide
+    }
+
+    /// Where walks of the wide tree begin that look at what is below some nodes of the binary one: all of it, and what else
+    /// stands in the same leaves. For each node a range of the list.
+    fn subtree_roots(&self, mesh: &Mesh, nodes: &[u32]) -> Result<(Vec<ChildRef>, Vec<Range<u32>>), BuildError> {
+        let slots = wide::slots(&self.bvh2, &self.roles.cpu, mesh)?;
+        // The leaf of the wide tree that each node stands in or below; nodes come in depth-first order.
+        let mut above = vec![ChildRef::UNUSED; slots.len()];
+        for (index, node) in self.bvh2.nodes.iter().enumerate() {
+            if slots[index] != ChildRef::UNUSED && slots[index].is_leaf() {
+                above[index] = slots[index];
+            }
+            if !node.is_leaf() {
+                (above[index + 1], above[node.right_or_first as usize]) = (above[index], above[index]);
+            }
+        }
+        let (mut roots, mut ranges) = (Vec::new(), Vec::with_capacity(nodes.len()));
+        for &node in nodes {
+            let first = roots.len() as u32;
+            let mut pending = vec![node];
+            while let Some(node) = pending.pop() {
+                let at = node as usize;
+                match (slots[at], above[at]) {
+                    // The root stands in no slot, unless it is a leaf.
+                    (ChildRef::UNUSED, ChildRef::UNUSED) if at == 0 => roots.push(ChildRef::ROOT),
+                    (ChildRef::UNUSED, ChildRef::UNUSED) => {
+                        pending.extend([self.bvh2.nodes[at].right_or_first, node + 1]);
+                    }
+                    (ChildRef::UNUSED, leaf) => roots.push(leaf),
+                    (slot, _) => roots.push(slot),
+                }
+            }
+            ranges.push(first..roots.len() as u32);
+        }
+        Ok((roots, ranges))
     }
 }

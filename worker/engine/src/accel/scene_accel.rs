@@ -5,9 +5,10 @@ use std::sync::Arc;
 use glam::Affine3A;
 use rayon::prelude::*;
 
+use super::approximate::{Approximating, Approximation, ObjectWalk, Purpose, Question};
 use super::compressed::CompressedBvh;
 use super::flat::{NamedSink, Names};
-use super::line_space::{Gates, LineSpace, SurfaceShafts, pays, pays_in_cells};
+use super::line_space::{Gates, LineSpace, NodeSpaces, SurfaceShafts, pays, pays_in_cells};
 use super::two_level::TwoLevel;
 use super::{Bvh2, CellShafts, Structure};
 use crate::scene::MeshHash;
@@ -46,6 +47,7 @@ pub struct SceneAccel {
     structures: Vec<Structure>,
     form: Form,
     gates: Gates,
+    approximating: Option<Approximating>,
     kernels: Kernels,
 }
 
@@ -72,13 +74,14 @@ impl SceneAccel {
     pub fn build<T: Into<Structure>>(structures: Vec<T>, placements: &[Placement]) -> Self {
         let structures: Vec<Structure> = structures.into_iter().map(Into::into).collect();
         let top = TwoLevel::build(&structures, placements);
-        Self { structures, form: Form::TwoLevel(top), gates: Gates::default(), kernels: Kernels::detect() }
+        let form = Form::TwoLevel(top);
+        Self { structures, form, gates: Gates::default(), approximating: None, kernels: Kernels::detect() }
     }
 
     /// One structure over the mesh that [`flatten`](super::flatten) made, with the names that it gave.
     pub fn flat(structure: impl Into<Structure>, names: Names) -> Self {
         let (form, gates) = (Form::Flat { names, shafts: None, asks: false }, Gates::default());
-        Self { structures: vec![structure.into()], form, gates, kernels: Kernels::detect() }
+        Self { structures: vec![structure.into()], form, gates, approximating: None, kernels: Kernels::detect() }
     }
 
     /// The same scene, walked by other kernels than the best for this CPU: their answers are the same.
@@ -92,6 +95,7 @@ impl SceneAccel {
     /// # Errors
     /// In a flat scene, when there are more or fewer than structures, or one is for another mesh.
     pub fn with_line_spaces(self, line_spaces: Vec<Option<Arc<LineSpace>>>) -> Result<Self, String> {
+        self.check_two_level("line spaces")?;
         self.check_gates("line spaces", line_spaces.iter().map(|space| space.as_ref().map(|space| space.mesh())))?;
         let asked = line_spaces.clone();
         Ok(Self { gates: Gates { line_spaces, asked, ..self.gates }, ..self })
@@ -121,6 +125,7 @@ impl SceneAccel {
     /// # Errors
     /// In a flat scene, when there are more or fewer than structures, or one is for another mesh.
     pub fn with_surface_shafts(self, surfaces: Vec<Option<Arc<SurfaceShafts>>>) -> Result<Self, String> {
+        self.check_two_level("surface shafts")?;
         self.check_gates("surface shafts", surfaces.iter().map(|shafts| shafts.as_ref().map(|shafts| shafts.mesh())))?;
         Ok(Self { gates: Gates { surfaces, ..self.gates }, ..self })
     }
@@ -162,10 +167,26 @@ impl SceneAccel {
         matches!(self.form, Form::Flat { asks: true, .. })
     }
 
+    fn check_two_level(&self, what: &str) -> Result<(), String> {
+        if self.is_flat() { Err(format!("{what} belong to meshes, and a flat scene has none")) } else { Ok(()) }
+    }
+
+    /// The same scene, in which [`Self::nearest`] and [`Self::blocked`] take for true what the Line Spaces of nodes say: one, or
+    /// none, for each of [`Self::structures`], which are BVHs.
+    ///
+    /// # Errors
+    /// When there are more or fewer than structures, or one is for another mesh.
+    pub fn approximating(self, nodes: Vec<Option<Arc<NodeSpaces>>>, rules: Approximation) -> Result<Self, String> {
+        self.check_gates("line spaces", nodes.iter().map(|nodes| nodes.as_ref().map(|nodes| nodes.mesh())))?;
+        Ok(Self { approximating: Some(Approximating { nodes, rules }), ..self })
+    }
+
+    /// The Line Spaces of nodes that the scene was given.
+    pub fn node_spaces(&self) -> &[Option<Arc<NodeSpaces>>] {
+        self.approximating.as_ref().map_or(&[], |approximating| &approximating.nodes)
+    }
+
     fn check_gates(&self, what: &str, meshes: impl ExactSizeIterator<Item = Option<MeshHash>>) -> Result<(), String> {
-        if self.is_flat() {
-            return Err(format!("{what} belong to meshes, and a flat scene has none"));
-        }
         if meshes.len() != self.structures.len() {
             return Err(format!("{} {what} for {} structures", meshes.len(), self.structures.len()));
         }
@@ -189,6 +210,65 @@ impl SceneAccel {
     /// Whether anything is hit in `(t_min, t_max)`.
     pub fn occluded(&self, ray: &Ray, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
         self.walk::<true>(ray, filter, &mut Any { t_max: ray.t_max }, counters)
+    }
+
+    /// Like [`Self::closest`], of a ray that leaves its `bounce`-th bounce (0: the camera), with what the scene takes for true of it.
+    /// A hit on a candidate may lie outside of its triangle.
+    pub fn nearest(&self, ray: &Ray, bounce: u32, filter: &dyn HitFilter, counters: &mut Counters) -> Option<Hit> {
+        let Some((approximating, question)) = self.question(|approximating| approximating.nearest(bounce)) else {
+            return self.closest(ray, filter, counters);
+        };
+        let nothing = Hit { t: ray.t_max, u: 0.0, v: 0.0, instance: 0, primitive: 0 };
+        let mut sink = Closest { best: nothing, found: false };
+        self.walk_nodes(approximating, question, ray, filter, &mut sink, counters);
+        sink.found.then_some(sink.best)
+    }
+
+    /// Like [`Self::occluded`], with what the scene takes for true of rays for this purpose.
+    pub fn blocked(&self, ray: &Ray, purpose: Purpose, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
+        match self.question(|approximating| approximating.occlusion(purpose)) {
+            None => self.occluded(ray, filter, counters),
+            Some((approximating, question)) => {
+                self.walk_nodes(approximating, question, ray, filter, &mut Any { t_max: ray.t_max }, counters)
+            }
+        }
+    }
+
+    fn question<'a>(
+        &'a self,
+        ask: impl FnOnce(&'a Approximating) -> Option<Question<'a>>,
+    ) -> Option<(&'a Approximating, Question<'a>)> {
+        let approximating = self.approximating.as_ref()?;
+        Some((approximating, ask(approximating)?))
+    }
+
+    fn walk_nodes(
+        &self,
+        approximating: &Approximating,
+        question: Question<'_>,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        match &self.form {
+            Form::TwoLevel(top) => {
+                let scene = top.scene(&self.structures, &self.gates, self.kernels);
+                scene.walk_nodes(approximating, question, ray, filter, sink, counters)
+            }
+            Form::Flat { names, .. } => {
+                let mut sink = NamedSink { names, filter, ray, sink };
+                let (spaces, structure) = (approximating.spaces(0), &self.structures[0]);
+                if let (Some(spaces), Some(bvh), false) = (spaces, structure.bvh(), names.any_filtered()) {
+                    let walk = ObjectWalk { spaces, bvh, kernels: self.kernels, question, number: 0 };
+                    if let Some(stopped) = walk.ask(ray, &mut sink, counters) {
+                        return stopped;
+                    }
+                }
+                let Some(object_ray) = ObjectRay::new(ray, &structure.bounds()) else { return false };
+                structure.walk(self.kernels, &object_ray, 0, &mut sink, counters)
+            }
+        }
     }
 
     /// Like [`Self::occluded`], for a ray that starts just above a triangle. With surface shafts, the mesh that it starts on

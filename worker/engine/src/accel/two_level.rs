@@ -7,6 +7,7 @@
 use glam::{Affine3A, DMat3, Mat3, Vec3};
 use rayon::prelude::*;
 
+use super::approximate::{Approximating, InstanceWalk, Question};
 use super::bvh2::Bvh2;
 use super::compressed::CompressedBvh;
 use super::line_space::{Gates, Verdict};
@@ -146,6 +147,50 @@ impl Scene<'_> {
         stopped || (!is_all && self.walk_top::<true, true>(Some(start.instance), ray, filter, sink, counters))
     }
 
+    /// A walk that ends at the Line Spaces of nodes, as `question` asks.
+    pub(super) fn walk_nodes(
+        &self,
+        approximating: &Approximating,
+        question: Question<'_>,
+        ray: &Ray,
+        filter: &dyn HitFilter,
+        sink: &mut impl Sink,
+        counters: &mut Counters,
+    ) -> bool {
+        let counted = Counters::default();
+        let mut walk = InstanceWalk { scene: *self, approximating, question, ray, filter, sink, counters: counted };
+        let stopped = match self.top.only {
+            Some(only) => walk.enter(only, ray),
+            None => {
+                let Some(world_ray) = ObjectRay::new(ray, &self.top.bounds) else { return false };
+                self.kernels.walk_top(&self.top.wide_top.nodes, &world_ray, &mut walk, counters)
+            }
+        };
+        counters.add_walk(&walk.counters);
+        stopped
+    }
+
+    /// The structure of an instance, and whether its hits are filtered.
+    pub(super) fn structure_of(&self, number: u32) -> (u32, bool) {
+        let instance = &self.top.instances[number as usize];
+        (instance.structure, instance.filtered)
+    }
+
+    pub(super) fn structure(&self, number: u32) -> &Structure {
+        &self.structures[number as usize]
+    }
+
+    pub(super) fn kernels(&self) -> Kernels {
+        self.kernels
+    }
+
+    /// The instance of a leaf entry, and the ray in its space.
+    #[inline(always)]
+    pub(super) fn entry(&self, entry: usize, ray: &Ray, t_max: f32) -> (u32, Ray) {
+        let number = self.top.wide_top.entries[entry];
+        (number, self.top.instances[number as usize].to_object(ray, t_max))
+    }
+
     /// Walks all instances but one.
     #[inline(always)]
     fn walk_top<const ANY: bool, const GATED: bool>(
@@ -198,7 +243,7 @@ impl Scene<'_> {
 
     /// Walks the structure of an instance.
     #[inline(always)]
-    fn enter(
+    pub(super) fn enter(
         &self,
         number: u32,
         ray: &Ray,

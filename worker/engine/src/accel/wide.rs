@@ -51,7 +51,7 @@ impl ChildRef {
     const MAX_COUNT: u32 = 16;
     const FIRST_MASK: u32 = (1 << Self::COUNT_SHIFT) - 1;
     pub(crate) const ROOT: Self = Self(0);
-    const UNUSED: Self = Self(u32::MAX);
+    pub(super) const UNUSED: Self = Self(u32::MAX);
 
     /// `count` is 1 to [`Self::MAX_COUNT`]; a `first` beyond 2^27 is refused by [`plan`].
     fn leaf(first: u32, count: u32) -> Self {
@@ -119,6 +119,15 @@ impl WideBvh {
     pub(super) fn bytes(&self) -> usize {
         size_of_val(self.nodes.as_slice()) + size_of_val(self.packets.as_slice())
     }
+}
+
+/// What refers to each node of the binary tree that stands in a slot of the wide one; [`ChildRef::UNUSED`] for others.
+pub(super) fn slots(bvh2: &Bvh2, roles: &[Role], mesh: &Mesh) -> Result<Vec<ChildRef>, BuildError> {
+    let (nodes, _) = plan(bvh2, roles, |primitives| packets_of(primitives, mesh))?;
+    let mut slots = vec![ChildRef::UNUSED; bvh2.nodes.len()];
+    let filled = nodes.iter().flat_map(|node| node.sources.iter().zip(node.children));
+    filled.filter(|(source, _)| **source != NO_NODE).for_each(|(&source, child)| slots[source as usize] = child);
+    Ok(slots)
 }
 
 /// Packets that some primitives fill: those of spheres and of triangles are apart.

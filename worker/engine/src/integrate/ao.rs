@@ -7,6 +7,7 @@ use super::math::{basis, cosine_hemisphere, offset_origin, to_world};
 use super::sampler::{SET_AO, pixel_seed, sample_4d};
 use super::surface::{hit_point, shade_point};
 use super::{Sample, Tally, primary_ray};
+use crate::accel::Purpose;
 use crate::pack::PackedScene;
 use crate::trace::Ray;
 
@@ -38,7 +39,8 @@ pub fn ao_radiance(scene: &PackedScene, sample: Sample, samples: u32, distance: 
         let ray = Ray { origin, t_min: 0.0, direction, t_max: distance };
         let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 1 + k) };
         tally.rays.ao += 1;
-        if !scene.accel.occluded(&ray, &filter, &mut tally.counters) {
+        let purpose = Purpose { bounce: 0, light: 1.0, is_ambient: true };
+        if !scene.accel.blocked(&ray, purpose, &filter, &mut tally.counters) {
             open += 1;
         }
     }

@@ -59,6 +59,12 @@ pub fn sample_light(scene: &PackedScene, position: Vec3, normal: Vec3, select: u
     }
 }
 
+/// Size of the light that `select` chooses by its distance: 0 for punctual lights, 1 for the environment.
+pub fn apparent_size(scene: &PackedScene, select: u32, distance: f32) -> f32 {
+    let size = if scene.lights.is_empty() { 0.0 } else { scene.light_sizes[select_light(scene, select) as usize] };
+    if size.is_finite() { size / distance } else { 1.0 }
+}
+
 /// The first light whose range of numbers does not end before `select`.
 fn select_light(scene: &PackedScene, select: u32) -> u32 {
     let (mut low, mut high) = (0, scene.lights.len() as u32 - 1);

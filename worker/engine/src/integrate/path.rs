@@ -12,11 +12,12 @@ use glam::Vec3;
 use super::alpha::{AlphaFilter, alpha_seed};
 use super::bsdf::{Bsdf, eval_bsdf, make_bsdf, sample_bsdf};
 use super::environment::{environment_pdf, environment_radiance};
-use super::lights::{LightSample, emitter_pdf, sample_light};
+use super::lights::{LightSample, apparent_size, emitter_pdf, sample_light};
 use super::math::{basis, is_finite, offset_origin, power_heuristic, to_local, to_world};
 use super::sampler::{SET_PATH, SETS_PER_BOUNCE, pixel_seed, sample_4d, sample_4d_bits, unit_float};
 use super::surface::{Surface, hit_point, shade_point};
 use super::{Sample, Tally, primary_ray};
+use crate::accel::Purpose;
 use crate::pack::{MATERIAL_UNLIT, NONE, PackedScene};
 use crate::trace::{Hit, Ray};
 
@@ -46,6 +47,8 @@ pub struct PathState {
 pub struct ShadowRay {
     pub ray: Ray,
     pub contribution: Vec3,
+    /// Size of the light by its distance.
+    pub light: f32,
 }
 
 /// What a vertex leads to.
@@ -75,7 +78,7 @@ pub fn path_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, tall
             tally.rays.indirect += 1;
         }
         let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * state.bounce) };
-        let Some(hit) = scene.accel.closest(&state.ray, &filter, &mut tally.counters) else {
+        let Some(hit) = scene.accel.nearest(&state.ray, state.bounce, &filter, &mut tally.counters) else {
             path_miss(scene, &mut state);
             break;
         };
@@ -84,7 +87,8 @@ pub fn path_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, tall
         if let Some(shadow) = step.shadow {
             tally.rays.shadow += 1;
             let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * bounce + 1) };
-            if !scene.accel.occluded(&shadow.ray, &filter, &mut tally.counters) {
+            let purpose = Purpose { bounce, light: shadow.light, is_ambient: false };
+            if !scene.accel.blocked(&shadow.ray, purpose, &filter, &mut tally.counters) {
                 state.radiance += shadow.contribution;
             }
         }
@@ -196,7 +200,8 @@ fn connect(
     if contribution == Vec3::ZERO || !is_finite(contribution) {
         return None;
     }
-    Some(ShadowRay { ray: shadow_ray(surface, &light), contribution })
+    let apparent = apparent_size(scene, numbers[0], light.distance);
+    Some(ShadowRay { ray: shadow_ray(surface, &light), contribution, light: apparent })
 }
 
 /// The segment from a surface to a light. It ends at a punctual light itself, which nothing can hit; short of an area

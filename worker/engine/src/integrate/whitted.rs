@@ -9,12 +9,13 @@ use glam::Vec3;
 use super::alpha::{AlphaFilter, alpha_seed};
 use super::bsdf::{eval_bsdf, eval_cosine_lobes, make_bsdf, schlick};
 use super::environment::environment_radiance;
-use super::lights::sample_light;
+use super::lights::{apparent_size, sample_light};
 use super::math::{basis, is_finite, offset_origin, to_local};
 use super::path::shadow_ray;
 use super::sampler::{SET_PATH, SETS_PER_BOUNCE, pixel_seed, sample_4d_bits, unit_float};
 use super::surface::{hit_point, shade_point};
 use super::{Sample, Tally, primary_ray};
+use crate::accel::Purpose;
 use crate::pack::{MATERIAL_UNLIT, NONE, PackedScene};
 use crate::trace::Ray;
 
@@ -34,7 +35,7 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
             tally.rays.indirect += 1;
         }
         let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * bounce) };
-        let Some(hit) = scene.accel.closest(&ray, &filter, &mut tally.counters) else {
+        let Some(hit) = scene.accel.nearest(&ray, bounce, &filter, &mut tally.counters) else {
             if scene.environment.light != NONE {
                 radiance += throughput * environment_radiance(scene, ray.direction);
             }
@@ -63,7 +64,9 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
                 tally.rays.shadow += 1;
                 let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * bounce + 1) };
                 let ray = shadow_ray(&surface, &light);
-                if !scene.accel.occluded(&ray, &filter, &mut tally.counters) {
+                let apparent = apparent_size(scene, numbers[0], light.distance);
+                let purpose = Purpose { bounce, light: apparent, is_ambient: false };
+                if !scene.accel.blocked(&ray, purpose, &filter, &mut tally.counters) {
                     radiance += contribution;
                 }
             }

@@ -7,6 +7,7 @@ mod environment;
 mod geometry;
 mod ggx_table;
 mod layout;
+mod light_sizes;
 mod lights;
 mod materials;
 mod overlay;
@@ -46,6 +47,8 @@ pub struct PackedScene {
     pub lights: Vec<PackedLight>,
     /// For each light the last of all 32-bit numbers that selects it; increases, up to `u32::MAX`.
     pub light_cdf: Vec<u32>,
+    /// For each light its size in world units: see [`light_sizes`]. No device but the CPU asks.
+    pub light_sizes: Vec<f32>,
     /// Light number of each primitive of instances that emit: `emitter_lights[instance.emitter_base + primitive]`.
     pub emitter_lights: Vec<u32>,
     pub environment: PackedEnvironment,
@@ -108,6 +111,7 @@ pub fn pack(scene: &Scene, settings: &RenderSettings, accel: Arc<SceneAccel>) ->
         texels: materials.texels,
         lights: Vec::new(),
         light_cdf: Vec::new(),
+        light_sizes: Vec::new(),
         emitter_lights: Vec::new(),
         environment: environment.header,
         environment_texels: environment.texels,
@@ -120,6 +124,7 @@ pub fn pack(scene: &Scene, settings: &RenderSettings, accel: Arc<SceneAccel>) ->
     let punctual = scene.lights.iter().chain(&settings.extra_lights);
     let radius = radius(overlay::own_bounds(scene, settings));
     lights::pack_lights(&mut packed, punctual, environment.mean_radiance, radius)?;
+    packed.light_sizes = light_sizes::light_sizes(&packed);
     Ok(packed)
 }
 

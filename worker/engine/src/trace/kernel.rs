@@ -40,6 +40,7 @@ const STACK_SIZE: usize = (WIDTH - 1) * (MAX_DEPTH as usize + 2) + 2 * WIDTH;
 #[inline(always)]
 fn walk<I: Isa>(
     nodes: &[Node],
+    start: ChildRef,
     ray: &BoxRay<I>,
     t_min: f32,
     visitor: &mut impl LeafVisitor,
@@ -53,7 +54,7 @@ fn walk<I: Isa>(
     let children = children.as_mut_ptr().cast::<u32>();
     let distances = distances.as_mut_ptr().cast::<f32>();
     let mut size = 0;
-    let mut current = ChildRef::ROOT;
+    let mut current = start;
     let t_min = I::F8::splat(t_min);
     let mut limit = visitor.t_limit();
     let mut limits = I::F8::splat(limit);
@@ -131,14 +132,31 @@ fn walk_mesh<I: Isa, S: Sink>(
     counters: &mut Counters,
 ) -> bool {
     let mut visitor = PacketVisitor::<I, S> { bvh, ray: PacketRay::new(ray), instance, sink, tested: 0 };
-    let stopped = walk::<I>(&bvh.nodes, &BoxRay::new(ray), ray.t_min, &mut visitor, counters);
+    let stopped = walk::<I>(&bvh.nodes, ChildRef::ROOT, &BoxRay::new(ray), ray.t_min, &mut visitor, counters);
+    counters.triangle_tests += visitor.tested * crate::accel::wide::LANES as u64;
+    stopped
+}
+
+/// The same of the subtrees that some references lead to. They must be those of `bvh`.
+#[inline(always)]
+fn walk_mesh_from<I: Isa, S: Sink>(
+    bvh: &WideBvh,
+    roots: &[ChildRef],
+    ray: &ObjectRay,
+    instance: u32,
+    sink: &mut S,
+    counters: &mut Counters,
+) -> bool {
+    let mut visitor = PacketVisitor::<I, S> { bvh, ray: PacketRay::new(ray), instance, sink, tested: 0 };
+    let boxes = BoxRay::new(ray);
+    let stopped = roots.iter().any(|&root| walk::<I>(&bvh.nodes, root, &boxes, ray.t_min, &mut visitor, counters));
     counters.triangle_tests += visitor.tested * crate::accel::wide::LANES as u64;
     stopped
 }
 
 #[inline(always)]
 fn walk_top<I: Isa>(nodes: &[Node], ray: &ObjectRay, visitor: &mut impl LeafVisitor, counters: &mut Counters) -> bool {
-    walk::<I>(nodes, &BoxRay::new(ray), ray.t_min, visitor, counters)
+    walk::<I>(nodes, ChildRef::ROOT, &BoxRay::new(ray), ray.t_min, visitor, counters)
 }
 
 /// The instruction set that the kernels use, chosen once when a scene is put together.
@@ -201,6 +219,25 @@ impl Kernels {
         }
     }
 
+    /// The same of the parts of the mesh that some references into its tree lead to.
+    #[inline]
+    pub(crate) fn walk_mesh_from<S: Sink>(
+        self,
+        bvh: &WideBvh,
+        roots: &[ChildRef],
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    ) -> bool {
+        match self {
+            Self::Portable => walk_mesh_from::<Portable, S>(bvh, roots, ray, instance, sink, counters),
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: `Avx2` is only made after the CPU was asked.
+            Self::Avx2 => unsafe { x86::walk_mesh_from(bvh, roots, ray, instance, sink, counters) },
+        }
+    }
+
     /// Offers the sink what `ray` (in object space) hits in a tree of cells, past nodes that `shafts` say nothing is met in.
     #[inline]
     pub(crate) fn walk_cells<S: Sink>(
@@ -240,7 +277,7 @@ impl Kernels {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{CellShafts, CellTree, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh, cells};
+    use super::{CellShafts, CellTree, ChildRef, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh, cells};
     use crate::trace::simd::Avx2;
 
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
@@ -252,6 +289,18 @@ mod x86 {
         counters: &mut Counters,
     ) -> bool {
         super::walk_mesh::<Avx2, S>(bvh, ray, instance, sink, counters)
+    }
+
+    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+    pub(super) fn walk_mesh_from<S: Sink>(
+        bvh: &WideBvh,
+        roots: &[ChildRef],
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    ) -> bool {
+        super::walk_mesh_from::<Avx2, S>(bvh, roots, ray, instance, sink, counters)
     }
 
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]

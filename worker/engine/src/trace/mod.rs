@@ -63,6 +63,21 @@ impl Counters {
     }
 }
 
+impl Counters {
+    /// Adds what a walk counts that asks the Line Spaces of nodes: a few numbers of many, for each ray.
+    #[inline(always)]
+    pub(crate) fn add_walk(&mut self, other: &Self) {
+        self.add_tests(other);
+        let (gates, other) = (&mut self.gates, &other.gates);
+        gates.starts_inside += other.starts_inside;
+        gates.beside += other.beside;
+        gates.too_far += other.too_far;
+        gates.approximated += other.approximated;
+        gates.node_look_ups += other.node_look_ups;
+        gates.skipped_nodes += other.skipped_nodes;
+    }
+}
+
 impl std::ops::AddAssign for Counters {
     fn add_assign(&mut self, other: Self) {
         self.add_tests(&other);

@@ -5,6 +5,7 @@ mod classes;
 #[path = "../common/mod.rs"]
 mod common;
 mod meshes;
+mod nodes;
 mod payloads;
 mod shafts;
 mod surfaces;

@@ -134,6 +134,11 @@ impl SparseCandidates {
         }
     }
 
+    /// Gives each candidate another number.
+    pub(super) fn renumber(&mut self, number: impl Fn(u32) -> u32) {
+        self.primitives.iter_mut().for_each(|primitive| *primitive = number(*primitive));
+    }
+
     /// The candidate of the shaft from `start` to `end`, which are on different faces.
     #[inline]
     pub fn candidate(&self, start: Patch, end: Patch) -> Option<u32> {

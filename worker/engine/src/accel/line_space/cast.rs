@@ -7,10 +7,11 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::bits::{BinaryShafts, BitSet, Coverage, NO_CANDIDATE, SparseCandidates};
+use super::nodes::Below;
 use super::shaft::{directed_count, directed_patches, symmetric_count, symmetric_patches};
 use super::{CastPattern, Patch, ShaftGrid};
+use crate::accel::BuildError;
 use crate::accel::build::check;
-use crate::accel::{BuildError, MeshStructure};
 use crate::trace::{Counters, Hit, Kernels, ObjectRay, Ray, Sink};
 
 /// Shafts that one task looks at before it asks for a cancellation.
@@ -23,7 +24,7 @@ const OFFSETS: [[f64; 2]; 9] = {
 };
 
 struct Caster<'a> {
-    structure: &'a MeshStructure,
+    below: &'a Below<'a>,
     grid: &'a ShaftGrid,
     kernels: Kernels,
 }
@@ -39,9 +40,10 @@ impl Caster<'_> {
         };
         let (from, to) = (point(start, from), point(end, to));
         let ray = Ray { origin: from.as_vec3(), t_min: 0.0, direction: (to - from).as_vec3(), t_max: 1.0 };
-        let ray = ObjectRay::new(&ray, &self.structure.bvh2().bounds())?;
+        let Below { structure, roots, .. } = self.below;
+        let ray = ObjectRay::new(&ray, &structure.bvh2().bounds())?;
         let mut sink = Nearest { t: 1.0, primitive: None };
-        self.kernels.walk_mesh(self.structure.wide(), &ray, 0, &mut sink, &mut Counters::default());
+        self.kernels.walk_mesh_from(structure.wide(), roots, &ray, 0, &mut sink, &mut Counters::default());
         sink.primitive
     }
 
@@ -92,12 +94,12 @@ fn for_shafts<T: Send>(count: u64, cancel: &AtomicBool, value: impl Fn(u32) -> T
 
 /// Marks the symmetric shafts of which a line of the pattern is blocked.
 pub(super) fn marks(
-    structure: &MeshStructure,
+    below: &Below<'_>,
     grid: &ShaftGrid,
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
-    let caster = Caster { structure, grid, kernels: Kernels::detect() };
+    let caster = Caster { below, grid, kernels: Kernels::detect() };
     let n = grid.n();
     let blocked = for_shafts(symmetric_count(n), cancel, |index| {
         let (a, b) = symmetric_patches(n, index);
@@ -110,12 +112,12 @@ pub(super) fn marks(
 
 /// The candidate of each directed shaft, dense: [`NO_CANDIDATE`] where no line of the pattern hits.
 pub(super) fn dense_candidates(
-    structure: &MeshStructure,
+    below: &Below<'_>,
     grid: &ShaftGrid,
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<Vec<u32>, BuildError> {
-    let caster = Caster { structure, grid, kernels: Kernels::detect() };
+    let caster = Caster { below, grid, kernels: Kernels::detect() };
     let n = grid.n();
     for_shafts(directed_count(n), cancel, |index| {
         let (start, end) = directed_patches(n, index);
@@ -124,23 +126,23 @@ pub(super) fn dense_candidates(
 }
 
 pub(super) fn candidates(
-    structure: &MeshStructure,
+    below: &Below<'_>,
     grid: &ShaftGrid,
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<SparseCandidates, BuildError> {
-    Ok(SparseCandidates::from_dense(grid.n(), &dense_candidates(structure, grid, pattern, cancel)?))
+    Ok(SparseCandidates::from_dense(grid.n(), &dense_candidates(below, grid, pattern, cancel)?))
 }
 
 /// The blocked part of `rays` lines of each symmetric shaft, which are spread evenly over both patches.
 pub(super) fn coverage(
-    structure: &MeshStructure,
+    below: &Below<'_>,
     grid: &ShaftGrid,
     bits: u32,
     rays: u32,
     cancel: &AtomicBool,
 ) -> Result<Coverage, BuildError> {
-    let caster = Caster { structure, grid, kernels: Kernels::detect() };
+    let caster = Caster { below, grid, kernels: Kernels::detect() };
     let n = grid.n();
     let parts = for_shafts(symmetric_count(n), cancel, |index| {
         let (a, b) = symmetric_patches(n, index);

@@ -135,7 +135,7 @@ impl LineSpace {
             Shafts::Table(_) | Shafts::Tree(_) => true,
             Shafts::Binary(binary) => binary.is_marked(chord.entry, chord.exit),
             Shafts::Candidates(candidates) => candidates.candidate(chord.entry, chord.exit).is_some(),
-            Shafts::Coverage(coverage) => coverage.blocked(chord.entry, chord.exit) > chance(ray),
+            Shafts::Coverage(coverage) => coverage.blocked(chord.entry, chord.exit) > chance(ray, 0),
         };
         if is_blocked { Verdict::Hit } else { Verdict::Miss }
     }
@@ -191,11 +191,11 @@ fn count(class: Class, chord: Chord, counters: &mut GateCounters) {
     kind[class as usize] += 1;
 }
 
-/// A number from 0 to 1, below 1, that follows from the ray alone: so pictures do not depend on who traces it when
-/// (the finalizer of MurmurHash3 over its bits).
+/// A number from 0 to 1, below 1, that follows from the ray and `salt` alone: so pictures do not depend on who traces it
+/// when (the finalizer of MurmurHash3 over its bits).
 #[inline]
-fn chance(ray: &Ray) -> f32 {
-    let mut hash = 0_u32;
+pub(crate) fn chance(ray: &Ray, salt: u32) -> f32 {
+    let mut hash = salt;
     for value in [ray.origin.x, ray.origin.y, ray.origin.z, ray.direction.x, ray.direction.y, ray.direction.z] {
         hash = (hash ^ value.to_bits()).wrapping_mul(0x85eb_ca6b);
         hash ^= hash >> 13;

@@ -16,10 +16,11 @@ use rayon::prelude::*;
 use super::ShaftGrid;
 use super::bits::{BinaryShafts, BitSet};
 use super::hull::Hull;
+use super::nodes::Below;
 use super::shaft::{DILATION, symmetric_count, symmetric_patches};
 use super::voxels::lattice;
+use crate::accel::BuildError;
 use crate::accel::build::check;
-use crate::accel::{BuildError, MeshStructure};
 use crate::scene::Mesh;
 
 /// The finest N that has an atlas: its masks take 67 MB. It grows with N^7.
@@ -104,22 +105,22 @@ fn for_each_cell(n: u32, hull: &Hull, mut visit: impl FnMut(usize)) {
 /// Marks by masking. `n` is at most [`MAX_MASK_N`].
 pub(super) fn by_masking(
     mesh: &Mesh,
-    structure: &MeshStructure,
+    below: &Below<'_>,
     grid: &ShaftGrid,
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
     let n = grid.n();
     let atlas = MaskAtlas::get(n, DILATION, cancel)?;
-    let lattice = lattice(&structure.bvh2().bounds(), grid, n);
+    let lattice = lattice(&below.bounds(), grid, n);
     let filled: Vec<AtomicU64> = (0..n.pow(3).div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
-    (0..mesh.primitive_count()).into_par_iter().with_min_len(4096).try_for_each(|primitive| {
-        if primitive.is_multiple_of(4096) {
-            check(cancel)?;
+    below.primitives.par_chunks(4096).try_for_each(|primitives| {
+        check(cancel)?;
+        for &primitive in primitives {
+            lattice.primitive_cells(mesh, primitive as usize, lattice.all(), |[x, y, z]| {
+                let cell = (z * n + y) * n + x;
+                filled[cell as usize / 64].fetch_or(1 << (cell % 64), Ordering::Relaxed);
+            });
         }
-        lattice.primitive_cells(mesh, primitive, lattice.all(), |[x, y, z]| {
-            let cell = (z * n + y) * n + x;
-            filled[cell as usize / 64].fetch_or(1 << (cell % 64), Ordering::Relaxed);
-        });
         Ok(())
     })?;
     let mut bits = BitSet::new(symmetric_count(n));
@@ -134,7 +135,7 @@ pub(super) fn by_masking(
 /// Marks by clipping.
 pub(super) fn by_clipping(
     mesh: &Mesh,
-    structure: &MeshStructure,
+    below: &Below<'_>,
     grid: &ShaftGrid,
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
@@ -146,7 +147,7 @@ pub(super) fn by_clipping(
             check(cancel)?;
             let is_met = |&index: &u32| {
                 let (a, b) = symmetric_patches(n, index);
-                meets_mesh(&Hull::new(n, a, b, DILATION), mesh, structure, grid)
+                meets_mesh(&Hull::new(n, a, b, DILATION), mesh, below, grid)
             };
             Ok((0..).zip(chunk).fold(0, |word, (bit, index)| word | u32::from(is_met(index)) << bit))
         })
@@ -155,9 +156,9 @@ pub(super) fn by_clipping(
 }
 
 /// Whether any primitive is in the hull.
-fn meets_mesh(hull: &Hull, mesh: &Mesh, structure: &MeshStructure, grid: &ShaftGrid) -> bool {
-    let bvh2 = structure.bvh2();
-    let mut pending = vec![0_usize];
+fn meets_mesh(hull: &Hull, mesh: &Mesh, below: &Below<'_>, grid: &ShaftGrid) -> bool {
+    let bvh2 = below.structure.bvh2();
+    let mut pending = vec![below.node];
     while let Some(index) = pending.pop() {
         let node = &bvh2.nodes[index];
         let bounds = node.bounds();

@@ -9,15 +9,17 @@
 //!   [`SceneAccel`](super::SceneAccel) faster without changing an answer.
 //! - [`Payload::Coverage`]: which part of its lines is blocked.
 //!
-//! [`SurfaceShafts`] do the same for rays that start on the mesh. Both belong to a mesh and are cached as structures are.
+//! [`NodeSpaces`] are the same on the nodes of a mesh's BVH, and [`SurfaceShafts`] do the same for rays that start on the mesh. Both belong to a mesh and are cached as structures are.
 
 mod bits;
+mod candidates;
 mod cast;
 mod classes;
 mod gate;
 mod hull;
 mod layered;
 mod mask;
+mod nodes;
 mod params;
 pub mod shaft;
 mod store;
@@ -31,11 +33,14 @@ mod worth;
 use std::sync::atomic::AtomicBool;
 
 pub use bits::{BinaryShafts, BitSet, Coverage, SparseCandidates};
+pub use candidates::CandidateRules;
 pub use classes::{Class, ClassTable, ClassTree};
 pub use gate::GateCounters;
-pub(crate) use gate::{Gates, Verdict};
+pub(crate) use gate::{Gates, Verdict, chance};
 pub use mask::MAX_MASK_N;
 pub(super) use mask::MaskAtlas;
+pub(crate) use nodes::NodeSpace;
+pub use nodes::{MAX_NODE_DEPTH, MIN_NODE_PRIMITIVES, NodeSpaceParams, NodeSpaces};
 pub use params::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
 pub use shaft::{Chord, Location, Patch, ShaftGrid};
 pub use surface::{Evidence, SurfaceShaftParams, SurfaceShafts};
@@ -107,12 +112,6 @@ impl LineSpace {
             return Ok(Self { mesh: mesh.hash, params: *params, content: None });
         };
         let shafts = match params.payload {
-            Payload::Binary { builder } => Shafts::Binary(match builder {
-                BinaryBuilder::Masking => mask::by_masking(mesh, structure, &grid, cancel)?,
-                BinaryBuilder::Clipping => mask::by_clipping(mesh, structure, &grid, cancel)?,
-                BinaryBuilder::Casting(pattern) => cast::marks(structure, &grid, pattern, cancel)?,
-            }),
-            Payload::Candidates { pattern } => Shafts::Candidates(cast::candidates(structure, &grid, pattern, cancel)?),
             Payload::Classes { layout, resolution } => {
                 let root_n = params.n >> params.class_levels();
                 let tree = layered::build(mesh, structure, &grid, root_n, resolution, cancel)?;
@@ -124,7 +123,9 @@ impl LineSpace {
                     })),
                 }
             }
-            Payload::Coverage { bits, rays } => Shafts::Coverage(cast::coverage(structure, &grid, bits, rays, cancel)?),
+            Payload::Binary { .. } | Payload::Candidates { .. } | Payload::Coverage { .. } => {
+                nodes::shafts(mesh, &nodes::Below::root(structure), &grid, params, cancel)?
+            }
         };
         Ok(Self { mesh: mesh.hash, params: *params, content: Some((grid, shafts)) })
     }

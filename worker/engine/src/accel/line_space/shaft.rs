@@ -212,6 +212,11 @@ impl ShaftGrid {
         usable.then_some(Self { n, min, scale, limit })
     }
 
+    /// The same, which locates rays from any distance: for approximations, to which rounding is no harm.
+    pub(super) fn without_limit(self) -> Self {
+        Self { limit: f32::MAX, ..self }
+    }
+
     pub fn n(&self) -> u32 {
         self.n
     }

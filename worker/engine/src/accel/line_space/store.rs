@@ -56,7 +56,11 @@ pub(super) fn decode(
     Ok(LineSpace { mesh: mesh.hash, params: *params, content })
 }
 
-fn shafts(params: &LineSpaceParams, arrays: Vec<Vec<u32>>, primitive_count: usize) -> Result<Shafts, String> {
+pub(super) fn shafts(
+    params: &LineSpaceParams,
+    arrays: Vec<Vec<u32>>,
+    primitive_count: usize,
+) -> Result<Shafts, String> {
     let n = params.n;
     Ok(match params.payload {
         Payload::Binary { .. } => {

@@ -1,0 +1,299 @@
+//! What Line Spaces are used for, and what cannot be combined.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::validate::Checker;
+use super::{Acceleration, DeviceChoice, LineSpace, LineSpaceBuilder, LineSpacePayload, StructureKind};
+use crate::problem::FieldError;
+
+/// Bounces that can be told apart: as many as a path has.
+const MAX_BOUNCES: usize = 65;
+
+/// What Line Spaces are used for.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Policy {
+    /// Only for what they prove: the picture is that of the structure alone, bit for bit.
+    #[default]
+    Exact,
+    /// Shadow and ambient-occlusion rays that cross a whole box are blocked by every shaft that holds something; with payload
+    /// `coverage`, with the probability that it gives.
+    ApproximateOcclusion,
+    /// As that, where an object is far enough for its size and for the light's, at a depth that follows from it.
+    Adaptive,
+    /// Indirect rays end on candidates.
+    Representative,
+    /// A policy for each bounce, the last one repeating. The first is that of what the camera sees: its shadow rays.
+    PerBounce(Vec<BouncePolicy>),
+}
+
+/// What Line Spaces are used for in one bounce.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BouncePolicy {
+    Exact,
+    ApproximateOcclusion,
+    Adaptive,
+    Representative,
+}
+
+/// What is done in the box in which an occlusion ray starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OriginNode {
+    /// Its geometry is tested.
+    #[default]
+    Exact,
+    /// Nothing: what is near casts no shadow.
+    Skip,
+}
+
+/// The usage heuristic: `gamma` is the distance of an object's box in diagonals of it, times the size of the light by its
+/// distance (1 for ambient occlusion and the sky, 0 for punctual lights), times `delta`. Below 1 the object is exact; at 1
+/// the deepest boxes answer, and each further 1 takes one level less.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Adaptive {
+    /// 0 to 1000000; 0 gives the exact picture.
+    pub delta: f32,
+    /// Between two depths one is chosen at random, by the fraction.
+    pub interpolate: bool,
+    /// Ambient-occlusion rays are moved at random within a disc before their shaft is looked up.
+    pub disc_sampling: bool,
+    pub origin_object: OriginObject,
+}
+
+impl Default for Adaptive {
+    fn default() -> Self {
+        Self { delta: 1.0, interpolate: true, disc_sampling: true, origin_object: OriginObject::Exact }
+    }
+}
+
+/// How an object is met by rays that start in its box.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OriginObject {
+    /// All of its geometry is tested.
+    #[default]
+    Exact,
+    /// The deepest boxes answer, but for those in which the ray starts.
+    LineSpace,
+}
+
+/// When a candidate counts as hit: its triangle stands for its whole plane.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Representative {
+    /// Greatest angle between the normal, extrapolated beyond the triangle, and the triangle's mean normal; 0 to 180 (any).
+    pub angle_threshold_deg: f32,
+    /// By how much of its diagonal a box grows before hits outside it are dropped, 0 to 1.
+    pub range_slack: f32,
+    pub origin_node: RepresentativeOrigin,
+}
+
+impl Default for Representative {
+    fn default() -> Self {
+        Self { angle_threshold_deg: 60.0, range_slack: 0.0, origin_node: RepresentativeOrigin::Exact }
+    }
+}
+
+/// What is done in the box in which an indirect ray starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RepresentativeOrigin {
+    /// Its geometry is tested.
+    #[default]
+    Exact,
+    /// Its candidates are asked too: light leaks where surfaces touch.
+    Approximate,
+}
+
+impl Policy {
+    /// One for each bounce, the last repeating.
+    pub fn bounces(&self) -> Vec<BouncePolicy> {
+        match self {
+            Self::Exact => vec![BouncePolicy::Exact],
+            Self::ApproximateOcclusion => vec![BouncePolicy::ApproximateOcclusion],
+            Self::Adaptive => vec![BouncePolicy::Adaptive],
+            Self::Representative => vec![BouncePolicy::Representative],
+            Self::PerBounce(bounces) => bounces.clone(),
+        }
+    }
+}
+
+impl Acceleration {
+    /// Whether rays are answered by the Line Spaces of boxes of the structure, not only by those of whole meshes.
+    pub fn asks_nodes(&self) -> bool {
+        match self.policy {
+            Policy::Exact => false,
+            Policy::ApproximateOcclusion => {
+                self.structure == StructureKind::Bvh
+                    || self.line_space.as_ref().is_some_and(|l| l.depth.unwrap_or(0) > 0)
+            }
+            Policy::Adaptive | Policy::Representative | Policy::PerBounce(_) => true,
+        }
+    }
+
+    /// What is wrong with Line Spaces and policy, with pointers below `prefix`.
+    pub(super) fn validate_line_space(&self, device: DeviceChoice, prefix: &str, errors: &mut Vec<FieldError>) {
+        let mut c = Checker { prefix, errors };
+        if let Policy::PerBounce(bounces) = &self.policy {
+            let is_right = (1..=MAX_BOUNCES).contains(&bounces.len());
+            c.check(is_right, "policy", &format!("per_bounce must have 1 to {MAX_BOUNCES} policies"));
+        }
+        c.check(in_range(self.adaptive.delta, 0.0, 1e6), "adaptive/delta", "must be 0 to 1000000");
+        let angle = self.representative.angle_threshold_deg;
+        c.check(in_range(angle, 0.0, 180.0), "representative/angle_threshold_deg", "must be 0 to 180");
+        let slack = self.representative.range_slack;
+        c.check(in_range(slack, 0.0, 1.0), "representative/range_slack", "must be 0 to 1");
+        let needs_none = self.policy == Policy::Exact;
+        c.check(needs_none || self.line_space.is_some(), "policy", "any policy but exact needs a line_space");
+        let Some(line_space) = &self.line_space else { return };
+        c.check(
+            matches!(self.structure, StructureKind::TwoLevel | StructureKind::NTree | StructureKind::Bvh),
+            "line_space",
+            "line spaces are available with structures two_level, bvh and ntree alone",
+        );
+        c.check(
+            device != DeviceChoice::Gpu,
+            "line_space",
+            "must be null on device gpu: line spaces are asked by the CPU alone; device auto chooses it",
+        );
+        if self.structure == StructureKind::NTree {
+            self.validate_cells(line_space, prefix, errors);
+        } else {
+            self.validate_nodes(line_space, prefix, errors);
+        }
+        line_space.validate(self.structure, &format!("{prefix}/line_space"), errors);
+    }
+
+    /// Line Spaces of the nodes of an N-tree: as many patches as cells, from which they are made.
+    fn validate_cells(&self, line_space: &LineSpace, prefix: &str, errors: &mut Vec<FieldError>) {
+        let mut c = Checker { prefix, errors };
+        let (n, levels) = (self.n.unwrap_or(6), self.depth.unwrap_or(3));
+        c.check(self.policy == Policy::Exact, "policy", "must be exact with structure ntree");
+        let fits = line_space.payload == LineSpacePayload::Binary;
+        c.check(fits, "line_space/payload", "must be binary with structure ntree");
+        let fits = line_space.builder.is_none_or(|builder| builder == LineSpaceBuilder::Mask);
+        c.check(fits, "line_space/builder", "must be mask with structure ntree");
+        c.check(n <= 12, "n", "must be 2 to 12 with a line_space: masks grow with its seventh power");
+        let fits = line_space.n.is_none_or(|patches| patches == n);
+        c.check(fits, "line_space/n", &format!("must be the structure's n, {n}, or null"));
+        let fits = line_space.depth.is_none_or(|depth| depth < levels);
+        let deepest = levels.max(1) - 1;
+        c.check(fits, "line_space/depth", &format!("must be 0 to {deepest}, below the structure's depth, or null"));
+    }
+
+    /// Line Spaces of meshes, and of the nodes of their BVHs.
+    fn validate_nodes(&self, line_space: &LineSpace, prefix: &str, errors: &mut Vec<FieldError>) {
+        let mut c = Checker { prefix, errors };
+        let bounces = self.policy.bounces();
+        let asks = |policy| bounces.contains(&policy);
+        let is_flat = self.structure == StructureKind::Bvh;
+        c.check(
+            !(is_flat && self.policy == Policy::Exact),
+            "policy",
+            "must not be exact with structure bvh: a ray inside the scene's only box is told nothing",
+        );
+        c.check(
+            !(is_flat && asks(BouncePolicy::Adaptive)),
+            "policy",
+            "adaptive chooses by object: structure two_level",
+        );
+        let is_deep = line_space.depth.is_some_and(|depth| depth > 0);
+        c.check(
+            !(is_deep && self.policy == Policy::Exact),
+            "policy",
+            "must not be exact with a depth above 0: exact asks the mesh's own box alone",
+        );
+        let fits = !self.asks_nodes() || line_space.payload != LineSpacePayload::TriState;
+        c.check(fits, "line_space/payload", "must be binary, candidate or coverage for this policy and depth");
+        let fits = !asks(BouncePolicy::Representative) || line_space.payload == LineSpacePayload::Candidate;
+        c.check(fits, "line_space/payload", "must be candidate with policy representative");
+    }
+}
+
+fn in_range(value: f32, least: f32, most: f32) -> bool {
+    (least..=most).contains(&value)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use crate::settings::RenderSettings;
+
+    fn wrong(settings: Value) -> Vec<String> {
+        let settings: RenderSettings = serde_json::from_value(settings).unwrap();
+        let errors = settings.validate("/settings").into_iter();
+        errors.map(|error| error.pointer.trim_start_matches("/settings/acceleration/").to_owned()).collect()
+    }
+
+    fn wrong_with(policy: Value, line_space: Value) -> Vec<String> {
+        wrong(json!({ "acceleration": { "policy": policy, "line_space": line_space } }))
+    }
+
+    #[test]
+    fn what_cannot_be_combined_is_refused_at_its_place() {
+        let on_gpu = json!({ "device": "gpu", "acceleration": { "line_space": {} } });
+        assert_eq!(wrong(on_gpu), ["line_space"]);
+        assert_eq!(wrong(json!({ "acceleration": { "structure": "octree", "line_space": {} } })), ["line_space"]);
+        assert_eq!(wrong(json!({ "acceleration": { "structure": "bvh", "line_space": {} } })), ["policy"]);
+        assert!(serde_json::from_value::<RenderSettings>(json!({ "acceleration": { "policy": "quick" } })).is_err());
+    }
+
+    #[test]
+    fn nodes_of_an_ntree_have_as_many_patches_as_cells() {
+        let ntree = |n: u32, line_space: Value| {
+            wrong(json!({ "acceleration": { "structure": "ntree", "n": n, "depth": 3, "line_space": line_space } }))
+        };
+        for good in [
+            json!({ "payload": "binary" }),
+            json!({ "payload": "binary", "n": 8, "depth": 2, "builder": "mask" }),
+            json!({ "payload": "binary", "ask": "always", "on_over_budget": "skip" }),
+        ] {
+            assert_eq!(ntree(8, good.clone()), [""; 0], "{good}");
+        }
+        assert_eq!(ntree(8, json!({})), ["line_space/payload"]);
+        assert_eq!(ntree(8, json!({ "payload": "binary", "n": 6, "depth": 3 })), ["line_space/n", "line_space/depth"]);
+        assert_eq!(ntree(8, json!({ "payload": "binary", "builder": "clip" })), ["line_space/builder"]);
+        assert_eq!(ntree(13, json!({ "payload": "binary" })), ["n"]);
+        let approximate = json!({
+            "structure": "ntree", "line_space": { "payload": "binary" }, "policy": "approximate_occlusion",
+        });
+        assert_eq!(wrong(json!({ "acceleration": approximate })), ["policy"]);
+    }
+
+    #[test]
+    fn policies_need_what_they_ask() {
+        let binary = || json!({ "payload": "binary", "depth": 6 });
+        let candidate = || json!({ "payload": "candidate", "depth": 12 });
+        for (policy, line_space) in [
+            (json!("approximate_occlusion"), json!({})),
+            (json!("approximate_occlusion"), json!({ "payload": "coverage", "depth": 3 })),
+            (json!("adaptive"), binary()),
+            (json!("adaptive"), candidate()),
+            (json!("representative"), candidate()),
+            (json!({ "per_bounce": ["exact", "adaptive", "representative"] }), candidate()),
+        ] {
+            assert_eq!(wrong_with(policy.clone(), line_space), [""; 0], "{policy}");
+        }
+        for policy in [json!("approximate_occlusion"), json!("adaptive"), json!({ "per_bounce": ["exact"] })] {
+            assert_eq!(wrong_with(policy.clone(), Value::Null), ["policy"], "{policy}");
+        }
+        assert_eq!(wrong_with(json!("exact"), binary()), ["policy"]);
+        assert_eq!(wrong_with(json!("adaptive"), json!({})), ["line_space/payload"]);
+        assert_eq!(wrong_with(json!("approximate_occlusion"), json!({ "depth": 1 })), ["line_space/payload"]);
+        assert_eq!(wrong_with(json!({ "per_bounce": ["exact", "representative"] }), binary()), ["line_space/payload"]);
+        assert_eq!(wrong_with(json!({ "per_bounce": [] }), binary()), ["policy"]);
+        let flat = json!({ "structure": "bvh", "policy": "adaptive", "line_space": binary() });
+        assert_eq!(wrong(json!({ "acceleration": flat })), ["policy"]);
+        let numbers = json!({
+            "adaptive": { "delta": -1.0 },
+            "representative": { "angle_threshold_deg": 181.0, "range_slack": 1.5 },
+        });
+        let fields = ["adaptive/delta", "representative/angle_threshold_deg", "representative/range_slack"];
+        assert_eq!(wrong(json!({ "acceleration": numbers })), fields);
+    }
+}

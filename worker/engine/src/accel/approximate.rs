@@ -1,0 +1,343 @@
+//! Policies that trade truth for speed: rays that end at the shafts of a mesh's nodes instead of at its geometry.
+//!
+//! - **Occlusion** (Keul 2020, chapter 5): an occlusion ray is blocked by every shaft of the deepest cut that holds something.
+//! - **Adaptive** (section 8.3): so, at a depth that the usage heuristic chooses for each object that the ray meets,
+//!   `gamma = (b_d / b_s) (L_s / L_d) delta`: the distance of the object's box in sizes of that box, times the size of the light
+//!   in its distances. Below 1 the object is traced exactly, at 1 the deepest cut answers, and each further 1 takes
+//!   one level less. (The thesis subtracts gamma itself from the deepest level, which would then answer for no gamma at all.)
+//! - **Representative** (chapters 6 and 7): an indirect ray ends at the plane of the candidate of its shaft.
+//!
+//! Camera rays, instances with filtered hits, and rays that end in a node are always exact; of the node, or the
+//! object, in which a ray starts the policy decides.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use super::line_space::{CandidateRules, Location, NodeSpace, NodeSpaces, Shafts, chance};
+use super::two_level::Scene;
+use super::{HitFilter, MeshStructure, Structure};
+use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink};
+
+/// What the rays of one bounce may take for true.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BouncePolicy {
+    Exact,
+    Occlusion,
+    Adaptive,
+    Representative,
+}
+
+/// The usage heuristic.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdaptiveRules {
+    /// Scales gamma: 0 traces everything exactly.
+    pub delta: f32,
+    /// Chooses between two depths at random, by gamma's fraction, so that no border shows between them.
+    pub interpolate: bool,
+    /// Moves ambient-occlusion rays at random within a disc before their shaft is looked up (section 8.3.3), up to half a patch wide
+    /// where gamma is 2 and more.
+    pub disc: bool,
+    /// An object in whose box a ray starts is traced exactly; otherwise its deepest cut is asked, but for the nodes in which the
+    /// ray starts.
+    pub exact_origin: bool,
+}
+
+impl Default for AdaptiveRules {
+    fn default() -> Self {
+        Self { delta: 1.0, interpolate: true, disc: true, exact_origin: true }
+    }
+}
+
+/// What a scene may take for true, bounce by bounce.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Approximation {
+    /// Of the camera's rays and the shadow rays of what they hit, then of each bounce; the last repeats.
+    pub bounces: Vec<BouncePolicy>,
+    /// Of [`BouncePolicy::Occlusion`]: nodes in which a ray starts are tested exactly; otherwise they are skipped (section 5.4.1).
+    pub exact_origin: bool,
+    pub adaptive: AdaptiveRules,
+    pub candidates: CandidateRules,
+}
+
+/// What an occlusion ray is for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Purpose {
+    /// Bounces before its start: 0 for what the camera sees.
+    pub bounce: u32,
+    /// Size of the light by its distance; 1 for ambient occlusion and lights all around.
+    pub light: f32,
+    pub is_ambient: bool,
+}
+
+/// The Line Spaces of a scene's nodes, and what they are used for.
+#[derive(Debug)]
+pub(super) struct Approximating {
+    /// One, or none, for each structure.
+    pub nodes: Vec<Option<Arc<NodeSpaces>>>,
+    pub rules: Approximation,
+}
+
+/// What one ray asks.
+#[derive(Clone, Copy)]
+pub(super) enum Question<'a> {
+    /// Whether a shaft of the deepest cut holds something.
+    Blocked { exact_origin: bool },
+    /// The same of the cut that the heuristic chooses.
+    Adaptive { rules: &'a AdaptiveRules, purpose: Purpose },
+    /// The nearest candidate.
+    Candidate { rules: &'a CandidateRules },
+}
+
+impl Approximating {
+    fn policy(&self, bounce: u32) -> BouncePolicy {
+        let bounces = &self.rules.bounces;
+        let policy = bounces.get(bounce as usize).or(bounces.last());
+        policy.copied().unwrap_or(BouncePolicy::Exact)
+    }
+
+    /// What an occlusion ray asks; none for one that is to be exact.
+    pub(super) fn occlusion(&self, purpose: Purpose) -> Option<Question<'_>> {
+        match self.policy(purpose.bounce) {
+            BouncePolicy::Exact | BouncePolicy::Representative => None,
+            BouncePolicy::Occlusion => Some(Question::Blocked { exact_origin: self.rules.exact_origin }),
+            BouncePolicy::Adaptive => {
+                let rules = &self.rules.adaptive;
+                let is_asked = rules.delta > 0.0 && (purpose.light > 0.0 || !rules.exact_origin);
+                is_asked.then_some(Question::Adaptive { rules, purpose })
+            }
+        }
+    }
+
+    /// What a ray asks that looks for its nearest hit.
+    pub(super) fn nearest(&self, bounce: u32) -> Option<Question<'_>> {
+        let may = bounce > 0 && self.policy(bounce) == BouncePolicy::Representative;
+        may.then_some(Question::Candidate { rules: &self.rules.candidates })
+    }
+
+    pub(super) fn spaces(&self, structure: u32) -> Option<&NodeSpaces> {
+        self.nodes.get(structure as usize)?.as_deref()
+    }
+}
+
+/// How a ray goes on in one object.
+struct Plan {
+    depth: u32,
+    exact_origin: bool,
+    /// By how much its line moves before shafts are looked up.
+    shift: Vec3,
+}
+
+impl Question<'_> {
+    /// None for an object that is to be traced exactly. `ray` is in its space.
+    #[inline(always)]
+    fn plan(&self, spaces: &NodeSpaces, ray: &Ray) -> Option<Plan> {
+        let deepest = spaces.params().depth;
+        match *self {
+            Question::Blocked { exact_origin } => Some(Plan { depth: deepest, exact_origin, shift: Vec3::ZERO }),
+            Question::Candidate { rules } => {
+                Some(Plan { depth: deepest, exact_origin: rules.exact_origin, shift: Vec3::ZERO })
+            }
+            Question::Adaptive { rules, purpose } => {
+                let gap = gap_squared(spaces, ray);
+                if gap == 0.0 && !rules.exact_origin {
+                    return Some(Plan { depth: deepest, exact_origin: true, shift: Vec3::ZERO });
+                }
+                let scale = purpose.light * rules.delta;
+                // Most objects are found near enough here, without a root; also where it is not a number.
+                let is_far = gap * (scale * scale) >= 1.0;
+                if !is_far {
+                    return None;
+                }
+                let gamma = gap.sqrt() * scale;
+                let fraction = if rules.interpolate { chance(ray, 1) } else { 0.0 };
+                // The cast saturates.
+                let depth = ((deepest as f32 + 1.0 - gamma + fraction) as u32).min(deepest);
+                let shift = if rules.disc && purpose.is_ambient {
+                    let n = spaces.params().each.n as f32;
+                    let radius = (gamma - 1.0).min(1.0) * spaces.bounds().extent().max_element();
+                    on_disc(ray, 0.5 * radius / (n * (1 << (depth / 3)) as f32))
+                } else {
+                    Vec3::ZERO
+                };
+                Some(Plan { depth, exact_origin: true, shift })
+            }
+        }
+    }
+}
+
+/// How far the ray's origin is from the object's box, in diagonals of it, squared; 0 inside.
+#[inline(always)]
+fn gap_squared(spaces: &NodeSpaces, ray: &Ray) -> f32 {
+    let bounds = spaces.bounds();
+    let outside = (bounds.min - ray.origin).max(ray.origin - bounds.max).max(Vec3::ZERO);
+    outside.length_squared() * spaces.inverse_size_squared()
+}
+
+/// A random point of a disc across the ray. The distance from its centre is uniform, so that points are denser there.
+fn on_disc(ray: &Ray, radius: f32) -> Vec3 {
+    let (across, other) = ray.direction.normalize_or(Vec3::X).any_orthonormal_pair();
+    let (sin, cos) = (std::f32::consts::TAU * chance(ray, 2)).sin_cos();
+    radius * chance(ray, 3) * (cos * across + sin * other)
+}
+
+/// A ray on its way through a scene of instances.
+pub(super) struct InstanceWalk<'a, S> {
+    pub scene: Scene<'a>,
+    pub approximating: &'a Approximating,
+    pub question: Question<'a>,
+    pub ray: &'a Ray,
+    pub filter: &'a dyn HitFilter,
+    pub sink: &'a mut S,
+    pub counters: Counters,
+}
+
+impl<S: Sink> InstanceWalk<'_, S> {
+    #[inline(always)]
+    pub(super) fn enter(&mut self, number: u32, object_ray: &Ray) -> bool {
+        let (structure, filtered) = self.scene.structure_of(number);
+        let spaces = if filtered { None } else { self.approximating.spaces(structure) };
+        if let (Some(spaces), Structure::Bvh(bvh)) = (spaces, self.scene.structure(structure))
+            && let Some(plan) = self.question.plan(spaces, object_ray)
+        {
+            let walk = ObjectWalk { spaces, bvh, kernels: self.scene.kernels(), question: self.question, number };
+            return walk.walk(object_ray, &plan, self.sink, &mut self.counters);
+        }
+        self.scene.enter(number, self.ray, object_ray, self.filter, self.sink, &mut self.counters)
+    }
+}
+
+impl<S: Sink> LeafVisitor for InstanceWalk<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
+        for entry in entries {
+            let (number, object_ray) = self.scene.entry(entry, self.ray, self.sink.t_limit());
+            if self.enter(number, &object_ray) {
+                return true;
+            }
+        }
+        false
+    }
+
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.sink.t_limit()
+    }
+}
+
+/// A ray on its way through one object.
+pub(super) struct ObjectWalk<'a> {
+    pub spaces: &'a NodeSpaces,
+    pub bvh: &'a MeshStructure,
+    pub kernels: Kernels,
+    pub question: Question<'a>,
+    pub number: u32,
+}
+
+impl ObjectWalk<'_> {
+    /// Not inline: where objects are exact, what is around it shall stay small.
+    #[inline(never)]
+    fn walk(&self, ray: &Ray, plan: &Plan, sink: &mut impl Sink, counters: &mut Counters) -> bool {
+        let Some(object_ray) = ObjectRay::new(ray, self.spaces.bounds()) else { return false };
+        let top = &self.spaces.cut(plan.depth).top;
+        let counted = Counters::default();
+        let mut visitor =
+            NodeVisitor { walk: self, entries: &top.entries, ray, object_ray, plan, sink, counters: counted };
+        let stopped = if top.entries.len() == 1 {
+            visitor.visit(0..1)
+        } else {
+            self.kernels.walk_top(&top.nodes, &object_ray, &mut visitor, counters)
+        };
+        counters.add_walk(&visitor.counters);
+        stopped
+    }
+
+    /// The whole question, of an object in world space.
+    pub(super) fn ask(&self, ray: &Ray, sink: &mut impl Sink, counters: &mut Counters) -> Option<bool> {
+        let plan = self.question.plan(self.spaces, ray)?;
+        Some(self.walk(ray, &plan, sink, counters))
+    }
+}
+
+struct NodeVisitor<'a, S> {
+    walk: &'a ObjectWalk<'a>,
+    entries: &'a [u32],
+    /// In the object's space.
+    ray: &'a Ray,
+    object_ray: ObjectRay,
+    plan: &'a Plan,
+    sink: &'a mut S,
+    counters: Counters,
+}
+
+impl<S: Sink> NodeVisitor<'_, S> {
+    #[inline(always)]
+    fn visit_node(&mut self, space: &NodeSpace) -> bool {
+        let Some((grid, shafts)) = &space.content else { return self.exactly(space) };
+        let starts_inside = grid.holds(self.ray.origin);
+        if starts_inside {
+            self.counters.gates.starts_inside += 1;
+            if self.plan.exact_origin {
+                return self.exactly(space);
+            }
+        }
+        let line = Ray { origin: self.ray.origin + self.plan.shift, ..*self.ray };
+        let chord = match grid.locate(&line) {
+            Location::Beside => {
+                self.counters.gates.beside += 1;
+                return false;
+            }
+            Location::TooFar => {
+                self.counters.gates.too_far += 1;
+                return self.exactly(space);
+            }
+            Location::Through(chord) => chord,
+        };
+        let gates = &mut self.counters.gates;
+        if let Question::Candidate { rules } = self.walk.question {
+            gates.node_look_ups += 1;
+            gates.approximated += 1;
+            let Shafts::Candidates(candidates) = shafts else { return self.exactly(space) };
+            let Some(candidate) = candidates.candidate(chord.entry, chord.exit) else { return false };
+            let triangle = self.walk.spaces.triangle(candidate);
+            let Some([t, u, v]) = triangle.hit(self.ray, &space.bounds, rules) else { return false };
+            let hit = Hit { t, u, v, instance: self.walk.number, primitive: triangle.primitive };
+            return t <= self.sink.t_limit() && self.sink.offer(hit);
+        }
+        if starts_inside {
+            return false;
+        }
+        if !(chord.starts_outside && chord.reaches_exit) {
+            return self.exactly(space);
+        }
+        gates.node_look_ups += 1;
+        gates.approximated += 1;
+        let is_blocked = match shafts {
+            Shafts::Binary(binary) => binary.is_marked(chord.entry, chord.exit),
+            Shafts::Candidates(candidates) => candidates.candidate(chord.entry, chord.exit).is_some(),
+            Shafts::Coverage(coverage) => coverage.blocked(chord.entry, chord.exit) > chance(self.ray, space.node),
+            Shafts::Table(_) | Shafts::Tree(_) => return self.exactly(space),
+        };
+        self.counters.gates.skipped_nodes += u64::from(!is_blocked);
+        is_blocked
+    }
+
+    fn exactly(&mut self, space: &NodeSpace) -> bool {
+        let ObjectWalk { spaces, bvh, kernels, number, .. } = self.walk;
+        let roots = spaces.roots(space);
+        kernels.walk_mesh_from(bvh.wide(), roots, &self.object_ray, *number, self.sink, &mut self.counters)
+    }
+}
+
+impl<S: Sink> LeafVisitor for NodeVisitor<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
+        let spaces = self.walk.spaces;
+        self.entries[entries].iter().any(|&number| self.visit_node(spaces.space(number)))
+    }
+
+    #[inline(always)]
+    fn t_limit(&self) -> f32 {
+        self.sink.t_limit()
+    }
+}
