@@ -1,67 +1,140 @@
 //! Jobs, their tasks and the attempts at them.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use jiff::Timestamp;
-use serde::de::Error;
+use serde::de::{DeserializeSeed, Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 use crate::problem::{FieldError, escape_pointer};
-use crate::settings::RenderSettings;
+use crate::settings::JobSettings;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JobKind {
     Render,
+    /// Times configurations of structures against each other.
+    Benchmark,
+    /// Makes structures for later jobs.
+    Build,
 }
 
-/// Kinds whose names are taken, and that no worker can do yet.
-const KINDS_TO_COME: [&str; 3] = ["build", "benchmark", "compare"];
+impl JobKind {
+    pub const ALL: [Self; 3] = [Self::Render, Self::Benchmark, Self::Build];
+
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::Benchmark => "benchmark",
+            Self::Build => "build",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.as_str() == name)
+    }
+}
 
 impl<'de> Deserialize<'de> for JobKind {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match String::deserialize(deserializer)?.as_str() {
-            "render" => Ok(Self::Render),
-            known if KINDS_TO_COME.contains(&known) => {
-                Err(D::Error::custom(format!("`{known}` is not there yet: the one kind so far is `render`")))
+        let name = String::deserialize(deserializer)?;
+        match Self::from_name(&name) {
+            Some(kind) => Ok(kind),
+            None if name == "compare" => {
+                Err(D::Error::custom("`compare` is not there yet: there are `render`, `benchmark` and `build`"))
             }
-            other => Err(D::Error::unknown_variant(other, &["render"])),
+            None => Err(D::Error::unknown_variant(&name, &["render", "benchmark", "build"])),
         }
     }
 }
 
 /// Body of `POST /v1/jobs`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct NewJob {
-    #[serde(default = "render")]
+    /// `render` when left out.
     pub kind: JobKind,
     /// Scene id.
     pub scene: String,
     /// Higher runs first; -100 to 100.
-    #[serde(default)]
+    #[schema(required = false)]
     pub priority: i32,
     /// At most 32, keys up to 64 and values up to 256 characters.
-    #[serde(default)]
+    #[schema(required = false)]
     pub labels: BTreeMap<String, String>,
     /// Attempts at each task, 1 to 20; 3 when null.
-    #[serde(default)]
+    #[schema(required = false)]
     pub max_attempts: Option<u32>,
-    #[serde(default)]
-    pub settings: RenderSettings,
+    /// Of the kind.
+    #[schema(required = false)]
+    pub settings: JobSettings,
 }
 
-impl JobKind {
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Render => "render",
-        }
+impl<'de> Deserialize<'de> for NewJob {
+    /// By hand: which settings there are depends on the kind, and each field must keep its place in errors.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(NewJobVisitor)
     }
 }
 
-fn render() -> JobKind {
-    JobKind::Render
+struct NewJobVisitor;
+
+const NEW_JOB_FIELDS: &[&str] = &["kind", "scene", "priority", "labels", "max_attempts", "settings"];
+
+impl<'de> Visitor<'de> for NewJobVisitor {
+    type Value = NewJob;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a job: an object with a scene")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<NewJob, A::Error> {
+        let (mut kind, mut scene, mut priority, mut labels, mut max_attempts) = (None, None, None, None, None);
+        let mut settings: Option<JobSettings> = None;
+        while let Some(field) = map.next_key::<String>()? {
+            match field.as_str() {
+                "kind" => fill("kind", &mut kind, map.next_value()?)?,
+                "scene" => fill("scene", &mut scene, map.next_value()?)?,
+                "priority" => fill("priority", &mut priority, map.next_value()?)?,
+                "labels" => fill("labels", &mut labels, map.next_value()?)?,
+                "max_attempts" => fill("max_attempts", &mut max_attempts, map.next_value()?)?,
+                // In an object whose fields are sorted the kind has come before, if there is one.
+                "settings" => {
+                    let read = map.next_value_seed(OfKind(kind.unwrap_or(JobKind::Render)))?;
+                    fill("settings", &mut settings, read)?;
+                }
+                other => return Err(A::Error::unknown_field(other, NEW_JOB_FIELDS)),
+            }
+        }
+        let kind = kind.unwrap_or(JobKind::Render);
+        let settings = settings.unwrap_or_else(|| JobSettings::default_of(kind));
+        if settings.kind() != kind {
+            return Err(A::Error::custom("the kind must stand before the settings"));
+        }
+        Ok(NewJob {
+            kind,
+            scene: scene.ok_or_else(|| A::Error::missing_field("scene"))?,
+            priority: priority.unwrap_or_default(),
+            labels: labels.unwrap_or_default(),
+            max_attempts: max_attempts.unwrap_or_default(),
+            settings,
+        })
+    }
+}
+
+fn fill<T, E: Error>(field: &'static str, place: &mut Option<T>, value: T) -> Result<(), E> {
+    if place.replace(value).is_some() { Err(E::duplicate_field(field)) } else { Ok(()) }
+}
+
+struct OfKind(JobKind);
+
+impl<'de> DeserializeSeed<'de> for OfKind {
+    type Value = JobSettings;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<JobSettings, D::Error> {
+        JobSettings::read(self.0, deserializer)
+    }
 }
 
 /// Labels that start with this are the service's own.
@@ -91,6 +164,9 @@ impl NewJob {
             if value.chars().count() > 256 {
                 errors.push(FieldError::new(pointer(), "the value must have at most 256 characters"));
             }
+        }
+        if self.kind != self.settings.kind() {
+            errors.push(FieldError::new("/settings", format!("must be those of a {}", self.kind.as_str())));
         }
         errors.extend(self.settings.validate("/settings"));
         errors
@@ -162,7 +238,7 @@ pub struct Job {
     pub summary: JobSummary,
     /// Attempts at each task.
     pub max_attempts: u32,
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
     pub tasks: Vec<Task>,
     pub attempts: Vec<Attempt>,
     pub artifacts: Vec<Artifact>,
@@ -229,6 +305,10 @@ pub enum TaskWork {
     Pass { first_sample: u32, samples: u32 },
     /// Puts the parts of the other tasks together.
     Merge,
+    /// All of a benchmark.
+    Benchmark,
+    /// All structures of a scene.
+    Build,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::job::{AttemptOutcome, Metrics, Phase, TaskWork};
-use crate::settings::RenderSettings;
+use crate::settings::JobSettings;
 use crate::worker::CacheStatus;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -52,8 +52,11 @@ pub struct Lease {
     /// W3C traceparent to go on with.
     pub traceparent: String,
     pub work: TaskWork,
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
     pub scene: LeaseScene,
+    /// Further scenes of a benchmark.
+    #[serde(default)]
+    pub more_scenes: Vec<LeaseScene>,
     /// For a merge: the parts of the other tasks.
     pub parts: Vec<Part>,
 }

@@ -3,6 +3,7 @@
 mod benchmark;
 mod choice;
 mod line_space;
+mod of_job;
 mod policy;
 mod validate;
 
@@ -11,6 +12,7 @@ use utoipa::ToSchema;
 
 pub use benchmark::{BenchmarkPreset, BenchmarkSettings, Configuration, Effect, file_name, validate_acceleration};
 pub use line_space::{Ask, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
+pub use of_job::{BuildSettings, JobSettings};
 pub use policy::{Adaptive, BouncePolicy, OriginNode, OriginObject, Policy, Representative, RepresentativeOrigin};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -289,6 +291,18 @@ impl Default for Acceleration {
             origin_node: OriginNode::default(),
             adaptive: Adaptive::default(),
             representative: Representative::default(),
+        }
+    }
+}
+
+impl Acceleration {
+    /// In words, such as `two_level with tri_state line spaces`.
+    pub fn describe(&self) -> String {
+        let name = |value: serde_json::Value| value.as_str().unwrap_or_default().to_owned();
+        let structure = name(serde_json::json!(self.structure));
+        match &self.line_space {
+            None => structure,
+            Some(space) => format!("{structure} with {} line spaces", name(serde_json::json!(space.payload))),
         }
     }
 }

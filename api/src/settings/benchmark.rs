@@ -243,6 +243,14 @@ impl Effect {
 }
 
 impl BenchmarkSettings {
+    /// In words, such as `keul-4.1` or `2 effects, 3 configurations`.
+    pub fn describe(&self) -> String {
+        match self.preset {
+            Some(preset) => preset.as_str().to_owned(),
+            None => format!("{} effects, {} configurations", self.effects.len(), self.configurations.len()),
+        }
+    }
+
     /// Every field that is out of range, with a pointer below `prefix`. What depends on the scenes is not known here.
     pub fn validate(&self, prefix: &str) -> Vec<FieldError> {
         let mut errors = Vec::new();

@@ -8,7 +8,7 @@ use lightshaft_api::job::{
 };
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::scene::Scene;
-use lightshaft_api::settings::{CameraChoice, Environment, Integrator, Output, RenderSettings};
+use lightshaft_api::settings::{CameraChoice, Environment, Integrator, JobSettings, Output, RenderSettings};
 use uuid::Uuid;
 
 use super::App;
@@ -87,7 +87,7 @@ impl App {
 
     /// Renders a small picture of a new scene, when nothing else is to do.
     pub(super) async fn create_thumbnail_job(&self, scene: &Scene) -> ApiResult<()> {
-        let settings = RenderSettings {
+        let settings = JobSettings::from(RenderSettings {
             integrator: Integrator::Path,
             width: 320,
             height: 240,
@@ -95,7 +95,7 @@ impl App {
             max_bounces: 3,
             outputs: vec![Output::Png],
             ..RenderSettings::default()
-        };
+        });
         let record = JobRecord {
             id: Uuid::now_v7().to_string(),
             scene: scene.id.clone(),
@@ -271,11 +271,39 @@ impl App {
 
     async fn check_job(&self, new: &NewJob) -> ApiResult<()> {
         let mut errors = new.validate();
+        let mut scenes = Vec::new();
         match self.store.scene(&new.scene).await? {
-            Some(scene) => errors.extend(check_camera(&new.settings, &scene)),
+            Some(scene) => scenes.push(scene),
             None => errors.push(FieldError::new("/scene", "there is no such scene")),
         }
-        if let Some(Environment::Map(map)) = &new.settings.environment {
+        for (i, id) in new.settings.further_scenes().iter().enumerate() {
+            match self.store.scene(id).await? {
+                _ if *id == new.scene => {
+                    errors.push(FieldError::new(format!("/settings/scenes/{i}"), "is the job's own scene"));
+                }
+                Some(scene) => scenes.push(scene),
+                None => errors.push(FieldError::new(format!("/settings/scenes/{i}"), "there is no such scene")),
+            }
+        }
+        match &new.settings {
+            JobSettings::Render(settings) => {
+                let camera = settings.camera.as_ref().zip(scenes.first());
+                errors.extend(camera.and_then(|(camera, scene)| check_camera("/settings/camera", camera, scene)));
+                self.check_environment(settings, &mut errors).await?;
+            }
+            JobSettings::Benchmark(settings) => {
+                for (i, view) in settings.views.iter().enumerate() {
+                    let pointer = format!("/settings/views/{i}");
+                    errors.extend(scenes.iter().find_map(|scene| check_camera(&pointer, view, scene)));
+                }
+            }
+            JobSettings::Build(_) => {}
+        }
+        if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+    }
+
+    async fn check_environment(&self, settings: &RenderSettings, errors: &mut Vec<FieldError>) -> ApiResult<()> {
+        if let Some(Environment::Map(map)) = &settings.environment {
             let pointer = "/settings/environment/map";
             match self.blobs.start(&map.map, 16).await.map_err(ApiError::internal)? {
                 None if errors.iter().any(|error| error.pointer == pointer) => {}
@@ -286,7 +314,7 @@ impl App {
                 Some(_) => {}
             }
         }
-        if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+        Ok(())
     }
 }
 
@@ -294,9 +322,9 @@ fn text(text: String) -> LogStream {
     stream::once(std::future::ready(Ok(text.into()))).boxed()
 }
 
-fn check_camera(settings: &RenderSettings, scene: &Scene) -> Option<FieldError> {
+fn check_camera(pointer: &str, camera: &CameraChoice, scene: &Scene) -> Option<FieldError> {
     let cameras = &scene.summary.cameras;
-    let detail = match settings.camera.as_ref()? {
+    let detail = match camera {
         CameraChoice::Custom(_) => return None,
         CameraChoice::Index(i) if (*i as usize) < cameras.len() => return None,
         CameraChoice::Name(name) if cameras.iter().any(|camera| camera.name == *name) => return None,
@@ -307,7 +335,7 @@ fn check_camera(settings: &RenderSettings, scene: &Scene) -> Option<FieldError> 
             format!("the scene has no such camera; it has {}", names.join(", "))
         }
     };
-    Some(FieldError::new("/settings/camera", detail))
+    Some(FieldError::new(pointer, detail))
 }
 
 /// By its first bytes: Radiance RGBE, or OpenEXR's magic number 20000630.

@@ -106,6 +106,7 @@ impl App {
             work: task.work,
             settings: task.settings,
             scene: task.scene,
+            more_scenes: task.more_scenes,
             parts: task.parts,
         })
     }

@@ -5,7 +5,9 @@
 
 use std::path::PathBuf;
 
-use lightshaft_api::settings::RenderSettings;
+use lightshaft_api::job::{JobKind, NewJob};
+use lightshaft_api::problem::FieldError;
+use lightshaft_api::settings::{JobSettings, RenderSettings};
 use serde_json::{Map, Value, json};
 
 use super::error::{CliError, Result};
@@ -172,6 +174,24 @@ impl Chosen {
 
     /// # Errors
     /// Names every field that is wrong.
+    /// Settings of a kind that are no picture's.
+    pub(crate) fn finish_as(self, kind: JobKind) -> Result<JobSettings> {
+        if kind == JobKind::Render {
+            return self.finish().map(JobSettings::from);
+        }
+        // Read as a job's, so that a mistake gets the message that the service would give.
+        let job = json!({ "kind": kind, "scene": "", "settings": self.json });
+        let errors = match lightshaft_api::read::from_value::<NewJob>(job) {
+            Ok(job) => match job.settings.validate("/settings") {
+                errors if errors.is_empty() => return Ok(job.settings),
+                errors => errors,
+            },
+            Err(errors) => errors,
+        };
+        let named = |e: &FieldError| format!("{}: {}", e.pointer.trim_start_matches("/settings/"), e.detail);
+        Err(CliError::usage(errors.iter().map(named).collect::<Vec<_>>().join("\n")))
+    }
+
     pub(crate) fn finish(self) -> Result<RenderSettings> {
         let errors = match lightshaft_api::read::from_value::<RenderSettings>(Value::Object(self.json)) {
             Err(errors) => errors,

@@ -6,11 +6,12 @@ use axum::response::{IntoResponse, Response};
 use jiff::Timestamp;
 use lightshaft_api::job::{Artifact, Attempt, AttemptOutcome, Job, JobState, JobSummary, Metrics, Task, TaskWork};
 use lightshaft_api::page::Page as List;
-use lightshaft_api::settings::RenderSettings;
+use lightshaft_api::scene::Scene;
+use lightshaft_api::settings::{Effect, JobSettings, RenderSettings};
 
 use super::client::{Api, escape};
 use super::page::{Page, PageError};
-use super::{filters, form};
+use super::{benchmark, filters, form};
 
 /// A job in a list, with the times that its pages show.
 pub(super) struct JobRow {
@@ -40,12 +41,15 @@ impl JobRow {
 /// A job with its picture.
 pub(super) struct JobCard {
     pub(super) row: JobRow,
+    /// Of its picture, should it have one.
     pub(super) settings: RenderSettings,
     /// Address of the finished picture.
     pub(super) picture: Option<String>,
     /// Address of the picture so far.
     pub(super) preview: Option<String>,
-    pub(super) integrator: String,
+    /// What it does, in words.
+    pub(super) about: String,
+    pub(super) is_render: bool,
 }
 
 impl JobCard {
@@ -53,8 +57,12 @@ impl JobCard {
         Self {
             picture: job.artifacts.iter().find(|artifact| artifact.name == "image.png").map(|a| a.href.clone()),
             preview: job.preview,
-            integrator: form::name_of(&job.settings.integrator),
-            settings: job.settings,
+            about: about(&job.settings),
+            is_render: matches!(job.settings, JobSettings::Render(_)),
+            settings: match job.settings {
+                JobSettings::Render(settings) => *settings,
+                JobSettings::Benchmark(_) | JobSettings::Build(_) => RenderSettings::default(),
+            },
             row: JobRow { job: job.summary },
         }
     }
@@ -67,6 +75,17 @@ impl JobCard {
             cards.extend(api.find(&format!("/v1/jobs/{}", escape(&summary.id))).await?.map(Self::new));
         }
         Ok(cards)
+    }
+}
+
+fn about(settings: &JobSettings) -> String {
+    match settings {
+        JobSettings::Render(s) => {
+            let integrator = filters::human_words(&form::name_of(&s.integrator));
+            format!("{integrator}, {} × {}, {} spp", s.width, s.height, s.spp)
+        }
+        JobSettings::Benchmark(settings) => format!("benchmark: {}", settings.describe()),
+        JobSettings::Build(settings) => format!("build: {}", settings.acceleration.describe()),
     }
 }
 
@@ -152,6 +171,7 @@ struct JobPage {
     waiting: Option<String>,
     tasks: Vec<TaskRow>,
     measured: Option<Measured>,
+    found: Option<benchmark::Found>,
     settings: Vec<(&'static str, Vec<(String, String)>)>,
     settings_json: String,
     artifacts: Vec<Artifact>,
@@ -159,7 +179,7 @@ struct JobPage {
 
 pub(super) async fn show(api: Api, Path(id): Path<String>) -> Result<Response, PageError> {
     let mut job: Job = api.get(&format!("/v1/jobs/{}", escape(&id))).await?;
-    let scene = api.find(&format!("/v1/scenes/{}", escape(&job.summary.scene))).await?;
+    let scene: Option<Scene> = api.find(&format!("/v1/scenes/{}", escape(&job.summary.scene))).await?;
     let running = job.attempts.iter().rev().find(|attempt| attempt.outcome == AttemptOutcome::Running);
     let page = JobPage {
         here: "jobs",
@@ -167,13 +187,34 @@ pub(super) async fn show(api: Api, Path(id): Path<String>) -> Result<Response, P
         phase: running.and_then(|attempt| attempt.phase).map(|phase| phase.as_str()),
         waiting: job.waiting.take(),
         tasks: task_rows(&job),
-        settings: form::summary(&job.settings, scene.as_ref()),
+        found: benchmark::Found::of(&api, &job).await?,
+        settings: summary(&job.settings, scene.as_ref()),
         settings_json: serde_json::to_string_pretty(&job.settings).unwrap_or_default(),
         measured: job.metrics.take().map(Measured::new),
         artifacts: job.artifacts.clone(),
         card: JobCard::new(job),
     };
     Ok(Page(page).into_response())
+}
+
+/// Settings as label and value.
+fn summary(settings: &JobSettings, scene: Option<&Scene>) -> Vec<(&'static str, Vec<(String, String)>)> {
+    let row = |label: &str, value: String| (label.to_owned(), value);
+    match settings {
+        JobSettings::Render(settings) => form::summary(settings, scene),
+        JobSettings::Build(settings) => vec![("Build", vec![row("Structures", settings.acceleration.describe())])],
+        JobSettings::Benchmark(settings) => {
+            let effects: Vec<String> = settings.effects.iter().map(Effect::describe).collect();
+            let names: Vec<&str> = settings.configurations.iter().map(|c| c.name.as_str()).collect();
+            let mut rows = vec![row("Benchmark", settings.describe())];
+            if !effects.is_empty() {
+                rows.push(row("Effects", effects.join("; ")));
+                rows.push(row("Configurations", names.join("; ")));
+            }
+            rows.push(row("Rounds", settings.repetitions.to_string()));
+            vec![("Benchmark", rows)]
+        }
+    }
 }
 
 fn task_rows(job: &Job) -> Vec<TaskRow> {
@@ -203,5 +244,7 @@ fn describe(work: &TaskWork) -> String {
             format!("Samples {first_sample} to {}", first_sample.saturating_add(*samples).saturating_sub(1))
         }
         TaskWork::Merge => "Put the parts together".to_owned(),
+        TaskWork::Benchmark => "The whole benchmark".to_owned(),
+        TaskWork::Build => "All structures".to_owned(),
     }
 }

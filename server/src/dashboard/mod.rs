@@ -19,6 +19,7 @@
 //! Nothing is loaded from elsewhere and no script or style is inline, so [`CONTENT_SECURITY_POLICY`] forbids both.
 
 mod assets;
+mod benchmark;
 mod client;
 mod filters;
 mod form;

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use lightshaft_api::job::{Job, RESERVED_LABEL_PREFIX};
 use lightshaft_api::page::Page as List;
 use lightshaft_api::scene::Scene;
-use lightshaft_api::settings::RenderSettings;
+use lightshaft_api::settings::{JobSettings, RenderSettings};
 use serde::Deserialize;
 
 use super::client::{Api, escape};
@@ -67,7 +67,10 @@ pub(super) async fn show(api: Api, headers: HeaderMap, Query(start): Query<Start
     if let Some(scene) = scene.as_ref().filter(|scene| scenes.iter().all(|known| known.id != scene.id)) {
         scenes.insert(0, scene.clone());
     }
-    let settings = origin.as_ref().map_or_else(RenderSettings::default, |job| job.settings.clone());
+    let settings = match origin.as_ref().map(|job| &job.settings) {
+        Some(JobSettings::Render(settings)) => (**settings).clone(),
+        Some(JobSettings::Benchmark(_) | JobSettings::Build(_)) | None => RenderSettings::default(),
+    };
     let page = NewJobPage {
         here: "jobs",
         scenes,

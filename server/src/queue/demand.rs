@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-use lightshaft_api::settings::{DeviceChoice, RenderSettings};
+use lightshaft_api::settings::{DeviceChoice, JobSettings};
 use lightshaft_api::worker::{Device, DeviceKind};
 
 use super::Millis;
@@ -31,10 +31,10 @@ pub struct Offer {
 }
 
 impl Demand {
-    pub fn of(settings: &RenderSettings) -> Self {
-        let gpu = settings.device == DeviceChoice::Gpu;
-        let adapter = settings.adapter.as_ref().filter(|_| gpu).map(|name| name.to_lowercase());
-        Self { cpu: settings.device == DeviceChoice::Cpu, gpu, adapter }
+    pub fn of(settings: &JobSettings) -> Self {
+        let gpu = settings.device() == DeviceChoice::Gpu;
+        let adapter = settings.adapter().filter(|_| gpu).map(str::to_lowercase);
+        Self { cpu: settings.device() == DeviceChoice::Cpu, gpu, adapter }
     }
 
     pub fn is_met_by(&self, devices: &[Device]) -> bool {
@@ -116,6 +116,8 @@ pub fn gives_up(ready_since: Millis, roll_since: Millis, grace: Millis, now: Mil
 
 #[cfg(test)]
 mod tests {
+    use lightshaft_api::settings::RenderSettings;
+
     use super::*;
 
     fn offer(name: &str, devices: &[(DeviceKind, &str)]) -> Offer {
@@ -132,7 +134,7 @@ mod tests {
 
     fn demand(device: DeviceChoice, adapter: Option<&str>) -> Demand {
         let adapter = adapter.map(str::to_owned);
-        Demand::of(&RenderSettings { device, adapter, ..RenderSettings::default() })
+        Demand::of(&RenderSettings { device, adapter, ..RenderSettings::default() }.into())
     }
 
     const CPU: (DeviceKind, &str) = (DeviceKind::Cpu, "AVX2, 2 threads");

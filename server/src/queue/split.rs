@@ -1,11 +1,19 @@
 //! How a job is cut into tasks.
 
 use lightshaft_api::job::TaskWork;
-use lightshaft_api::settings::{RenderSettings, Split};
+use lightshaft_api::settings::{JobSettings, RenderSettings, Split};
 
-/// The tasks of a job: one, or the parts and then the merge that waits for them. Tiles cover every pixel once, passes
-/// every sample once.
-pub fn plan(settings: &RenderSettings) -> Vec<TaskWork> {
+/// The tasks of a job. A benchmark is one: what is compared must run on one worker, and a worker does one task at a time.
+pub fn plan(settings: &JobSettings) -> Vec<TaskWork> {
+    match settings {
+        JobSettings::Render(settings) => plan_render(settings),
+        JobSettings::Benchmark(_) => vec![TaskWork::Benchmark],
+        JobSettings::Build(_) => vec![TaskWork::Build],
+    }
+}
+
+/// One task, or the parts and then the merge that waits for them. Tiles cover every pixel once, passes every sample once.
+fn plan_render(settings: &RenderSettings) -> Vec<TaskWork> {
     let mut tasks = match settings.split {
         None | Some(Split::Tiles([1, 1])) => return vec![TaskWork::Frame],
         Some(Split::Tiles([columns, rows])) => tiles(settings.width, settings.height, columns, rows),
@@ -43,15 +51,24 @@ fn share(total: u32, i: u32, n: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use lightshaft_api::job::JobKind;
     use proptest::prelude::*;
 
     use super::*;
 
     #[test]
     fn an_unsplit_job_is_one_frame() {
-        assert_eq!(plan(&RenderSettings::default()), [TaskWork::Frame]);
+        assert_eq!(plan_render(&RenderSettings::default()), [TaskWork::Frame]);
         let single = RenderSettings { split: Some(Split::Tiles([1, 1])), ..RenderSettings::default() };
-        assert_eq!(plan(&single), [TaskWork::Frame]);
+        assert_eq!(plan_render(&single), [TaskWork::Frame]);
+    }
+
+    #[test]
+    fn a_benchmark_and_a_build_are_one_task() {
+        let of = |kind| plan(&JobSettings::default_of(kind));
+        assert_eq!(of(JobKind::Benchmark), [TaskWork::Benchmark]);
+        assert_eq!(of(JobKind::Build), [TaskWork::Build]);
+        assert_eq!(of(JobKind::Render), [TaskWork::Frame]);
     }
 
     proptest! {
@@ -59,7 +76,7 @@ mod tests {
         fn tiles_cover_every_pixel_once(width in 1u32..200, height in 1u32..200, columns in 1u32..=64, rows in 1u32..=64) {
             prop_assume!(columns <= width && rows <= height && columns * rows > 1);
             let split = Some(Split::Tiles([columns, rows]));
-            let tasks = plan(&RenderSettings { width, height, split, ..RenderSettings::default() });
+            let tasks = plan_render(&RenderSettings { width, height, split, ..RenderSettings::default() });
             prop_assert_eq!(tasks.last(), Some(&TaskWork::Merge));
             let mut covered = vec![0u32; (width * height) as usize];
             for task in &tasks[..tasks.len() - 1] {
@@ -77,7 +94,7 @@ mod tests {
         #[test]
         fn passes_take_every_sample_once(spp in 2u32..5000, passes in 2u32..=256) {
             prop_assume!(passes <= spp);
-            let tasks = plan(&RenderSettings { spp, split: Some(Split::Passes(passes)), ..RenderSettings::default() });
+            let tasks = plan_render(&RenderSettings { spp, split: Some(Split::Passes(passes)), ..RenderSettings::default() });
             let mut next = 0;
             for task in &tasks[..tasks.len() - 1] {
                 let TaskWork::Pass { first_sample, samples } = *task else { panic!("{task:?}") };

@@ -12,7 +12,9 @@ use futures::Stream;
 use futures::stream;
 use http::{HeaderMap, StatusCode, header};
 use lightshaft_api::event::Event;
-use lightshaft_api::job::{Artifact, Attempt, Job, JobPatch, JobState, JobSummary, NewJob, Task, ValidatedJob};
+use lightshaft_api::job::{
+    Artifact, Attempt, Job, JobKind, JobPatch, JobState, JobSummary, NewJob, Task, ValidatedJob,
+};
 use lightshaft_api::page::Page;
 use lightshaft_api::problem::Problem;
 use serde::Deserialize;
@@ -61,8 +63,10 @@ fn read_list_params(params: Vec<(String, String)>) -> ApiResult<(JobQuery, PageP
                 let expected = "must be queued, running, succeeded, failed or cancelled";
                 query.state = Some(JobState::from_name(&value).ok_or_else(|| wrong(expected))?);
             }
-            "kind" if value == "render" => {}
-            "kind" => return Err(wrong("must be render")),
+            "kind" => {
+                let expected = "must be render, benchmark or build";
+                query.kind = Some(JobKind::from_name(&value).ok_or_else(|| wrong(expected))?);
+            }
             "scene" => query.scene = Some(value),
             "q" if value.is_empty() => {}
             "q" if value.chars().count() <= 200 => query.text = Some(value),

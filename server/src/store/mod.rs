@@ -12,11 +12,13 @@ use std::error::Error;
 
 use async_trait::async_trait;
 use lightshaft_api::event::Event;
-use lightshaft_api::job::{Artifact, Attempt, AttemptOutcome, Job, JobState, JobSummary, Phase, Task, TaskWork};
+use lightshaft_api::job::{
+    Artifact, Attempt, AttemptOutcome, Job, JobKind, JobState, JobSummary, Phase, Task, TaskWork,
+};
 use lightshaft_api::lease::{Complete, Fail, LeaseScene, Part, SceneFile};
 use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::scene::{Scene, SceneSummary};
-use lightshaft_api::settings::RenderSettings;
+use lightshaft_api::settings::JobSettings;
 use lightshaft_api::status::StateCounts;
 use lightshaft_api::worker::{NewWorker, Worker};
 
@@ -44,6 +46,7 @@ pub struct PageRequest {
 #[derive(Clone, Debug, Default)]
 pub struct JobQuery {
     pub state: Option<JobState>,
+    pub kind: Option<JobKind>,
     pub scene: Option<String>,
     pub labels: BTreeMap<String, String>,
     /// Part of the scene's name or of a label's value, or the start of the id.
@@ -77,7 +80,7 @@ pub struct JobRecord {
     pub priority: i32,
     pub max_attempts: u32,
     pub labels: BTreeMap<String, String>,
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
     pub tasks: Vec<TaskWork>,
     pub trace_id: String,
     /// Made by the service itself, for the scene's thumbnail.
@@ -181,9 +184,11 @@ pub struct ClaimedTask {
     pub task: String,
     pub number: u32,
     pub work: TaskWork,
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
     pub trace_id: String,
     pub scene: LeaseScene,
+    /// Further scenes of a benchmark.
+    pub more_scenes: Vec<LeaseScene>,
     pub parts: Vec<Part>,
     /// From the moment the task could run to this lease.
     pub waited_ms: Millis,

@@ -6,6 +6,7 @@ mod errors;
 mod events;
 mod harness;
 mod jobs;
+mod kinds;
 mod leases;
 mod openapi;
 mod scenes;

@@ -8,7 +8,7 @@ use lightshaft_api::client::{ScenePart, Upload};
 use lightshaft_api::job::{JobSummary, TaskWork};
 use lightshaft_api::page::Page;
 use lightshaft_api::scene::{Scene, SceneSummary};
-use lightshaft_api::settings::Output;
+use lightshaft_api::settings::{JobSettings, Output};
 use serde_json::json;
 
 use crate::harness::{Service, glb, glb_upload, multipart, positions, scratch_file, triangle_document, triangle_glb};
@@ -130,8 +130,9 @@ async fn a_new_scene_gets_a_thumbnail() {
     assert_eq!((jobs.items.len(), jobs.items[0].priority), (1, -50));
     let worker = service.worker(&["cpu"]).await;
     let lease = service.lease(&worker).await.unwrap();
-    assert_eq!((&lease.work, &lease.settings.outputs), (&TaskWork::Frame, &vec![Output::Png]));
-    assert_eq!(lease.settings.environment, None, "the worker sees whether the scene has light of its own");
+    let JobSettings::Render(settings) = &lease.settings else { panic!("a thumbnail is rendered") };
+    assert_eq!((&lease.work, &settings.outputs), (&TaskWork::Frame, &vec![Output::Png]));
+    assert_eq!(settings.environment, None, "the worker sees whether the scene has light of its own");
     service.complete(&lease, "image.png", "a thumbnail").await;
     assert_eq!(service.get(&path).await.body, b"a thumbnail");
     let read: Scene = service.get(&format!("/v1/scenes/{scene}")).await.json();

@@ -2,6 +2,7 @@
 
 mod bad_requests;
 mod bad_uploads;
+mod benchmarks;
 mod command_line;
 mod dashboard;
 mod devices;

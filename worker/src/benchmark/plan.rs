@@ -7,7 +7,7 @@ use lightshaft_api::settings::{
 use lightshaft_engine::scene::{Limits, Source};
 use serde_json::Value;
 
-use super::presets::{self, Group};
+use super::presets::{self, Group, Preset};
 use crate::executor::TaskError;
 use crate::settings::Wanted;
 
@@ -33,6 +33,19 @@ pub struct SceneInput {
     pub stand_in: bool,
     /// Those to take when the settings name none.
     pub views: Vec<CameraChoice>,
+}
+
+impl SceneInput {
+    /// A scene by its file's name: the paper's, or one of one's own.
+    pub fn named(file: &str, measured: String, table: Option<&Preset>) -> Self {
+        let stem = file.rsplit_once('.').map_or(file, |(stem, _)| stem);
+        match table.and_then(|table| table.scene_of(stem)) {
+            Some((scene, file)) => {
+                Self { name: scene.name.clone(), measured, stand_in: file.stand_in, views: file.views.clone() }
+            }
+            None => Self { name: stem.to_owned(), measured, ..Self::default() },
+        }
+    }
 }
 
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use lightshaft_api::benchmark::{BenchmarkResults, Comparison, PictureDifference, Row, SceneResults};
-use lightshaft_api::job::Phase;
+use lightshaft_api::job::{Metrics, Phase};
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::settings::{BenchmarkSettings, CameraChoice, DeviceChoice, Effect, RenderSettings, file_name};
 use lightshaft_compare::{Image, Options, compare, heat_map};
@@ -20,13 +20,15 @@ use super::measure::{Picture, Runner, Times, rounds};
 use super::plan::{Plan, PlannedComparison, Scenes};
 use super::report;
 use super::stage::{Frame, Staged, stage};
-use crate::executor::{Artifact, Choice, Executor, Observer, Progress, TaskError, versions};
+use crate::executor::{Artifact, Choice, Executor, Observer, Progress, TaskError, metrics_json, peak_bytes, versions};
 use crate::settings::resolve;
 
 /// What a benchmark left.
 #[derive(Clone, Debug)]
 pub struct BenchmarkOutputs {
     pub results: BenchmarkResults,
+    /// Of all configurations together.
+    pub metrics: Metrics,
     /// The results as JSON, CSV and Markdown; pictures and heat maps.
     pub artifacts: Vec<Artifact>,
 }
@@ -123,9 +125,11 @@ impl Executor {
             scenes: results,
             total_s: started.elapsed().as_secs_f64(),
         };
+        let metrics = sum(&results);
         let mut artifacts = report::artifacts(&results)?;
+        artifacts.push(metrics_json(&metrics)?);
         artifacts.append(&mut run.pictures);
-        Ok(BenchmarkOutputs { results, artifacts })
+        Ok(BenchmarkOutputs { results, metrics, artifacts })
     }
 }
 
@@ -313,6 +317,43 @@ impl Run<'_> {
         let fraction = (self.done as f64 + within) / self.total.max(1) as f64;
         self.observer.progress(Progress { phase, fraction: 0.99 * fraction.min(1.0), spp: 0 });
     }
+}
+
+/// What all of it took: times of building and rendering, the rays of all times.
+fn sum(results: &BenchmarkResults) -> Metrics {
+    let mut metrics = Metrics {
+        device: results.device.clone(),
+        device_kind: results.device_kind.clone(),
+        versions: results.versions.clone(),
+        spp: results.spp,
+        total_s: results.total_s,
+        peak_bytes: peak_bytes(),
+        ..Metrics::default()
+    };
+    let rows = results.scenes.iter().flat_map(|scene| &scene.comparisons).flat_map(|comparison| &comparison.rows);
+    for row in rows {
+        if let Some(built) = &row.built {
+            metrics.build_s += built.init_s;
+            metrics.structure_bytes = metrics.structure_bytes.max(built.structure_bytes);
+            metrics.line_space_bytes = metrics.line_space_bytes.max(built.line_space_bytes);
+        }
+        for sample in row.timed.iter().flat_map(|timed| &timed.samples) {
+            metrics.render_s += sample.seconds;
+        }
+        if let Some(timed) = &row.timed {
+            let frames: u64 = timed.samples.iter().map(|sample| u64::from(sample.frames)).sum();
+            metrics.rays.primary += timed.rays.primary * frames;
+            metrics.rays.shadow += timed.rays.shadow * frames;
+            metrics.rays.ao += timed.rays.ao * frames;
+            metrics.rays.indirect += timed.rays.indirect * frames;
+        }
+        let told = row.warnings.iter().map(|warning| format!("{}: {warning}", row.configuration));
+        metrics.warnings.extend(told);
+    }
+    if metrics.render_s > 0.0 {
+        metrics.mrays_per_s = metrics.rays.total() as f64 / metrics.render_s / 1e6;
+    }
+    metrics
 }
 
 /// One device for all configurations: the CPU, where one of them needs it and the settings leave the choice to us.

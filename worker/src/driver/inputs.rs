@@ -10,6 +10,7 @@ use lightshaft_api::client::{Client, ClientError};
 use lightshaft_api::job::TaskWork;
 use lightshaft_api::lease::{Lease, SceneFile};
 use lightshaft_api::mesh::{FindStructures, NewStructure};
+use lightshaft_api::settings::JobSettings;
 use lightshaft_engine::accel::StructureKey;
 use lightshaft_engine::scene::{Content, Limits, Source};
 use tokio::runtime::Handle;
@@ -19,6 +20,7 @@ use tokio::task::JoinSet;
 use super::live::Live;
 use super::stop::Stop;
 use super::tries::Tries;
+use crate::benchmark::{SceneInput, Scenes, load};
 use crate::cache::{BlobCache, Pin, StructureStore};
 use crate::executor::{Inputs, TaskError};
 
@@ -102,6 +104,21 @@ impl LeasedInputs {
         }
     }
 
+    fn open_files(&self, files: &[SceneFile], limits: &Limits) -> Result<Source, TaskError> {
+        let opened = match files {
+            [] => return Err(TaskError::bad_input("the scene has no files")),
+            [one] => Source::open(&self.blob(&one.blob)?, limits),
+            _ => {
+                let mut parts = Vec::with_capacity(files.len());
+                for file in files {
+                    parts.push((file.path.clone(), Content::File(self.blob(&file.blob)?)));
+                }
+                Source::from_files(parts, limits)
+            }
+        };
+        opened.map_err(TaskError::from)
+    }
+
     /// The blob of a structure, if the service has it. The first question is asked for all meshes of the scene at once;
     /// meshes that are not of the scene, such as a ground plane, are not shared.
     fn known_structure(&self, key: &StructureKey) -> Result<Option<String>, String> {
@@ -168,19 +185,7 @@ impl Inputs for LeasedInputs {
     }
 
     fn open_scene(&self, limits: &Limits) -> Result<Source, TaskError> {
-        let files = &self.lease.scene.files;
-        let opened = match &files[..] {
-            [] => return Err(TaskError::bad_input("the scene has no files")),
-            [one] => Source::open(&self.blob(&one.blob)?, limits),
-            _ => {
-                let mut parts = Vec::with_capacity(files.len());
-                for file in files {
-                    parts.push((file.path.clone(), Content::File(self.blob(&file.blob)?)));
-                }
-                Source::from_files(parts, limits)
-            }
-        };
-        opened.map_err(TaskError::from)
+        self.open_files(&self.lease.scene.files, limits)
     }
 
     fn environment_map(&self, name: &str) -> Result<Vec<u8>, TaskError> {
@@ -209,6 +214,34 @@ impl Inputs for LeasedInputs {
 
     fn structures(&self) -> Option<&dyn StructureStore> {
         Some(self)
+    }
+}
+
+/// The scenes of a benchmark: the job's own, then the further ones in the order of its settings.
+impl Scenes for LeasedInputs {
+    fn list(&self) -> Vec<SceneInput> {
+        let table = match &self.lease.settings {
+            JobSettings::Benchmark(settings) => settings.preset.and_then(|preset| load(preset).ok()),
+            JobSettings::Render(_) | JobSettings::Build(_) => None,
+        };
+        let own = &self.lease.scene;
+        let mut listed = vec![SceneInput::named(&own.name, format!("{} ({})", own.name, own.id), table.as_ref())];
+        for id in self.lease.settings.further_scenes() {
+            listed.push(match self.lease.more_scenes.iter().find(|scene| scene.id == *id) {
+                Some(scene) => SceneInput::named(&scene.name, format!("{} ({id})", scene.name), table.as_ref()),
+                None => SceneInput { name: id.clone(), measured: id.clone(), ..SceneInput::default() },
+            });
+        }
+        listed
+    }
+
+    fn open(&self, index: usize, limits: &Limits) -> Result<Source, TaskError> {
+        let Some(further) = index.checked_sub(1) else { return self.open_scene(limits) };
+        let wanted = self.lease.settings.further_scenes().get(further);
+        match wanted.and_then(|id| self.lease.more_scenes.iter().find(|scene| scene.id == *id)) {
+            Some(scene) => self.open_files(&scene.files, limits),
+            None => Err(TaskError::bad_input(format!("/settings/scenes/{further}: the scene was deleted"))),
+        }
     }
 }
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use lightshaft_api::client::{Client, ClientError};
 use lightshaft_api::lease::{Complete, Fail, Lease, NewArtifact, RetryClass};
+use lightshaft_api::settings::JobSettings;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::JoinSet;
@@ -16,6 +17,7 @@ use super::inputs::{Kept, LeasedInputs};
 use super::live::Live;
 use super::stop::Stop;
 use super::tries::Tries;
+use crate::benchmark::BenchmarkOutputs;
 use crate::cache::BlobCache;
 use crate::executor::{Artifact, Executor, Outputs, TaskError};
 use crate::protocol::{Epoch, Input, Outcome};
@@ -168,7 +170,7 @@ impl Work {
         let span = tracing::Span::current();
         let rendering = tokio::task::spawn_blocking(move || {
             let _in_task = span.enter();
-            let run = || executor.run(&lease.work, &lease.settings, &inputs, &*live, stop.flag());
+            let run = || execute(&executor, &lease, &inputs, &live, &stop);
             let result = std::panic::catch_unwind(AssertUnwindSafe(run));
             (result, inputs.take_uploads())
         });
@@ -230,6 +232,25 @@ impl Work {
             bytes: body.len() as u64,
             blob: hash,
         })
+    }
+}
+
+fn execute(
+    executor: &Executor,
+    lease: &Lease,
+    inputs: &LeasedInputs,
+    live: &Live,
+    stop: &Stop,
+) -> Result<Outputs, TaskError> {
+    match &lease.settings {
+        JobSettings::Render(settings) => executor.run(&lease.work, settings, inputs, live, stop.flag()),
+        JobSettings::Build(settings) => executor.build(settings, inputs, live, stop.flag()),
+        JobSettings::Benchmark(settings) => {
+            let BenchmarkOutputs { artifacts, mut metrics, .. } =
+                executor.benchmark(settings, inputs, live, stop.flag())?;
+            metrics.queue_s = Some(lease.waited_s);
+            Ok(Outputs { artifacts, metrics })
+        }
     }
 }
 

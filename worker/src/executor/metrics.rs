@@ -10,7 +10,7 @@ pub(crate) fn versions() -> BTreeMap<String, String> {
 }
 
 /// Highest resident memory of this process so far; 0 where the system does not tell (`/proc` is Linux's).
-pub(super) fn peak_bytes() -> u64 {
+pub(crate) fn peak_bytes() -> u64 {
     std::fs::read_to_string("/proc/self/status").ok().and_then(|status| high_water_mark(&status)).unwrap_or(0)
 }
 

@@ -8,6 +8,7 @@
 //! [`Observer`], and it looks at one flag to learn that it should stop. What it learnt stays for the next task: devices,
 //! scenes, the packed scene, structures.
 
+mod build;
 mod devices;
 mod line_spaces;
 mod metrics;
@@ -31,8 +32,9 @@ use crate::cache::{StructureCache, StructureStore};
 
 pub(crate) use devices::Choice;
 pub use devices::Devices;
-pub(crate) use metrics::versions;
+pub(crate) use metrics::{peak_bytes, versions};
 pub use output::Artifact;
+pub(crate) use output::metrics_json;
 use part::Part;
 pub use part::name as name_of;
 pub(crate) use prepare::count_structures;
@@ -210,6 +212,9 @@ impl Executor {
             TaskWork::Frame | TaskWork::Tile { .. } | TaskWork::Pass { .. } => {
                 (self.render(&task, &mut metrics)?, Metrics::default())
             }
+            TaskWork::Benchmark | TaskWork::Build => {
+                return Err(TaskError::bad_input(format!("a render has no task for {}", part::name(work))));
+            }
         };
         task.check_stop()?;
         task.report(Phase::Output, OUTPUT_STARTS, part.film.samples);
@@ -237,7 +242,7 @@ impl Executor {
                 (tile_within(full, Region { x, y, width, height })?, 0, ready.settings.spp)
             }
             TaskWork::Pass { first_sample, samples } => (full, first_sample, samples),
-            TaskWork::Frame | TaskWork::Merge => (full, 0, ready.settings.spp),
+            TaskWork::Frame | TaskWork::Merge | TaskWork::Benchmark | TaskWork::Build => (full, 0, ready.settings.spp),
         };
         let mut part = Part {
             film: PassFilm::new(region),

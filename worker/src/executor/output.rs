@@ -62,7 +62,7 @@ fn metadata(task: &Task<'_>, film: &PassFilm) -> Vec<(&'static str, String)> {
 }
 
 /// What was measured, for people and scripts.
-pub(super) fn metrics_json(metrics: &Metrics) -> Result<Artifact, TaskError> {
+pub(crate) fn metrics_json(metrics: &Metrics) -> Result<Artifact, TaskError> {
     let bytes = serde_json::to_vec_pretty(metrics)
         .map_err(|error| TaskError::worker(format!("the metrics could not be written as JSON: {error}")))?;
     Ok(Artifact { name: "metrics.json".into(), media_type: "application/json", bytes })

@@ -40,6 +40,8 @@ pub fn name(work: &TaskWork) -> String {
             format!("samples {first_sample} to {}", first_sample.saturating_add(*samples))
         }
         TaskWork::Merge => "a merge".into(),
+        TaskWork::Benchmark => "a benchmark".into(),
+        TaskWork::Build => "the structures".into(),
     }
 }
 
@@ -50,7 +52,7 @@ pub(super) fn order(works: &[TaskWork]) -> Vec<usize> {
     order.sort_by_key(|&index| match works[index] {
         TaskWork::Pass { first_sample, .. } => (first_sample, 0, 0),
         TaskWork::Tile { x, y, .. } => (0, y, x),
-        TaskWork::Frame | TaskWork::Merge => (0, 0, 0),
+        TaskWork::Frame | TaskWork::Merge | TaskWork::Benchmark | TaskWork::Build => (0, 0, 0),
     });
     order
 }

@@ -74,7 +74,7 @@ impl Executor {
     }
 
     /// The imported scene, from memory where possible.
-    fn scene(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<Arc<Scene>, TaskError> {
+    pub(super) fn scene(&self, task: &Task<'_>, metrics: &mut Metrics) -> Result<Arc<Scene>, TaskError> {
         let started = Instant::now();
         task.report(Phase::Fetch, 0.0, 0);
         let key = task.inputs.scene_key();

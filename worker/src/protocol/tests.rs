@@ -2,7 +2,7 @@ use super::*;
 use jiff::Timestamp;
 use lightshaft_api::job::{Metrics, TaskWork};
 use lightshaft_api::lease::LeaseScene;
-use lightshaft_api::settings::RenderSettings;
+use lightshaft_api::settings::JobSettings;
 
 const S: Duration = Duration::from_secs(1);
 
@@ -19,8 +19,9 @@ fn lease() -> Box<Lease> {
         waited_s: 0.0,
         traceparent: String::new(),
         work: TaskWork::Frame,
-        settings: RenderSettings::default(),
+        settings: JobSettings::default(),
         scene: LeaseScene { id: "s".into(), name: "s".into(), files: vec![], meshes: vec![] },
+        more_scenes: vec![],
         parts: vec![],
     })
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use lightshaft_api::settings::BenchmarkPreset;
 use lightshaft_engine::scene::{KINDS, Limits, Params, Source, generate};
-use lightshaft_worker::benchmark::{Preset, PresetScene, SceneInput, Scenes, load};
+use lightshaft_worker::benchmark::{PresetScene, SceneInput, Scenes, load};
 use lightshaft_worker::executor::TaskError;
 
 use crate::cli::error::{CliError, Result};
@@ -47,7 +47,9 @@ impl SceneArgs {
             if !path.is_file() {
                 return Err(CliError::usage(format!("--scene {}: is no file", path.display())));
             }
-            found.push((named_file(path, table.as_ref()), Origin::File(path.clone())));
+            let name = file_name(path);
+            let input = SceneInput::named(&name, name.clone(), table.as_ref());
+            found.push((input, Origin::File(path.clone())));
         }
         for kind in &self.generate {
             if !KINDS.iter().any(|known| known.name == kind) {
@@ -103,18 +105,6 @@ impl SceneArgs {
         };
         let params = Params { seed: 0, triangles: made.triangles, count: made.count };
         (input, Origin::Generated(made.kind.clone(), params))
-    }
-}
-
-/// A file by the name of the paper's scene that it is, or by its own.
-fn named_file(path: &Path, table: Option<&Preset>) -> SceneInput {
-    let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let measured = file_name(path);
-    match table.and_then(|table| table.scene_of(&stem)) {
-        Some((scene, file)) => {
-            SceneInput { name: scene.name.clone(), measured, stand_in: file.stand_in, views: file.views.clone() }
-        }
-        None => SceneInput { name: stem, measured, ..SceneInput::default() },
     }
 }
 

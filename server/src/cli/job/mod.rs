@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use lightshaft_api::client::{Client, JobFilter};
 use lightshaft_api::job::{Job, JobPatch, JobState, JobSummary};
+use lightshaft_api::settings::JobSettings;
 use serde_json::json;
 
 use super::error::{CliError, Result};
@@ -16,7 +17,7 @@ use super::{Global, output};
 
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Command {
-    /// Submit a render of an uploaded scene, or of a file.
+    /// Submit a render, a benchmark or a build of an uploaded scene, or of a file.
     Submit(Box<submit::Args>),
     /// Follow a job to its end; exit code 1 unless it succeeds.
     Watch { job: String },
@@ -146,11 +147,18 @@ async fn list(client: &Client, mut filter: JobFilter, limit: u32, global: &Globa
     if global.json {
         return output::print_json(&jobs);
     }
-    let mut table = output::Table::new(&["id", "state", "progress", "scene", "created"]);
+    let mut table = output::Table::new(&["id", "kind", "state", "progress", "scene", "created"]);
     for job in jobs {
         let state = if job.paused { format!("{} (paused)", job.state.as_str()) } else { job.state.as_str().to_owned() };
         let progress = format!("{:.0} %", job.progress * 100.0);
-        table.row([job.id, state, progress, job.scene_name, format!("{:.0}", job.created_at)]);
+        table.row([
+            job.id,
+            job.kind.as_str().to_owned(),
+            state,
+            progress,
+            job.scene_name,
+            format!("{:.0}", job.created_at),
+        ]);
     }
     table.print()
 }
@@ -178,8 +186,13 @@ fn describe(job: &Job) -> String {
     if let Some(error) = &s.error {
         line("error", error.clone());
     }
-    let p = &job.settings;
-    line("picture", format!("{}x{}, {} spp, {:?}", p.width, p.height, p.spp, p.integrator).to_lowercase());
+    match &job.settings {
+        JobSettings::Render(p) => {
+            line("picture", format!("{}x{}, {} spp, {:?}", p.width, p.height, p.spp, p.integrator).to_lowercase());
+        }
+        JobSettings::Benchmark(b) => line("benchmark", b.describe()),
+        JobSettings::Build(b) => line("build", b.acceleration.describe()),
+    }
     for (key, value) in &s.labels {
         line("label", format!("{key}={value}"));
     }
@@ -191,6 +204,12 @@ fn describe(job: &Job) -> String {
         line("device", m.device.clone());
         line("time", format!("{:.2} s, of it structures {:.2} and render {:.2}", m.total_s, m.build_s, m.render_s));
         line("rays", format!("{} ({:.2} MRays/s)", output::count(m.rays.total()), m.mrays_per_s));
+        if matches!(job.settings, JobSettings::Build(_)) {
+            for made in &m.cache {
+                let (from, size) = (made.source.as_str(), output::bytes(made.bytes));
+                line("structure", format!("{} {}: {from}, {:.3} s, {size}", made.mesh, made.structure, made.seconds));
+            }
+        }
         for warning in &m.warnings {
             line("warning", warning.clone());
         }

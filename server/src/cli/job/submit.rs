@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use lightshaft_api::client::Client;
 use lightshaft_api::job::{JobKind, NewJob};
+use serde_json::json;
 
 use super::{Global, download, parse_labels, print_job, watch};
 use crate::cli::error::Result;
@@ -14,6 +15,12 @@ use crate::cli::{output, scene};
 pub(crate) struct Args {
     /// Id of an uploaded scene, or a file that is uploaded first.
     scene: String,
+    /// render, benchmark or build; the settings of the last two come from --settings and --setting.
+    #[arg(long, default_value = "render", value_parser = parse_kind)]
+    kind: JobKind,
+    /// Submit this table of benchmarks: see `lightshaft bench --list`.
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
     /// -100 to 100; higher runs first.
     #[arg(long, default_value_t = 0, allow_hyphen_values = true)]
     priority: i32,
@@ -39,17 +46,25 @@ pub(crate) struct Args {
     settings: SettingsArgs,
 }
 
+fn parse_kind(name: &str) -> std::result::Result<JobKind, String> {
+    JobKind::from_name(name).ok_or_else(|| "must be render, benchmark or build".to_owned())
+}
+
 pub(crate) async fn run(args: &Args, client: &Client, global: &Global) -> Result<()> {
+    let kind = if args.preset.is_some() { JobKind::Benchmark } else { args.kind };
     let mut chosen = args.settings.read()?;
     if let Some(path) = chosen.environment_file.clone() {
         let blob = client.store_blob_file(&path).await?;
         chosen.set_environment_map(&blob.hash);
     }
-    let settings = chosen.finish()?;
+    if let Some(preset) = &args.preset {
+        chosen.set("preset", json!(preset));
+    }
+    let settings = chosen.finish_as(kind)?;
     let path = Path::new(&args.scene);
     let scene = if path.is_file() { scene::upload(client, path, None).await?.0.id } else { args.scene.clone() };
     let job = NewJob {
-        kind: JobKind::Render,
+        kind,
         scene,
         priority: args.priority,
         labels: parse_labels(&args.labels)?,

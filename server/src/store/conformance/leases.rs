@@ -6,7 +6,7 @@ use lightshaft_api::settings::{DeviceChoice, Split};
 
 use tokio::task::JoinSet;
 
-use super::{Farm, TTL, new_worker};
+use super::{Farm, TTL, new_worker, picture};
 use crate::store::{Claim, Claimed, Close};
 
 pub(super) async fn a_task_is_leased_to_one_worker_only(farm: &Farm) {
@@ -79,7 +79,7 @@ pub(super) async fn paused_jobs_are_passed_over(farm: &Farm) {
 
 pub(super) async fn gpu_jobs_go_to_workers_with_a_gpu(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    farm.job_with(&scene, |job| job.settings.device = DeviceChoice::Gpu).await;
+    farm.job_with(&scene, |job| picture(job).device = DeviceChoice::Gpu).await;
     let (cpu, gpu) = (farm.worker().await, farm.worker_with(&["cpu", "llvmpipe"]).await);
     assert!(farm.claim(&cpu).await.is_none());
     assert!(farm.claim(&gpu).await.is_some());
@@ -87,7 +87,7 @@ pub(super) async fn gpu_jobs_go_to_workers_with_a_gpu(farm: &Farm) {
 
 pub(super) async fn cpu_jobs_go_to_workers_with_a_cpu(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    farm.job_with(&scene, |job| job.settings.device = DeviceChoice::Cpu).await;
+    farm.job_with(&scene, |job| picture(job).device = DeviceChoice::Cpu).await;
     let (gpu, cpu) = (farm.worker_with(&["llvmpipe"]).await, farm.worker().await);
     assert!(farm.claim(&gpu).await.is_none());
     assert!(farm.claim(&cpu).await.is_some());
@@ -96,8 +96,8 @@ pub(super) async fn cpu_jobs_go_to_workers_with_a_cpu(farm: &Farm) {
 pub(super) async fn an_adapter_is_matched_by_part_of_its_name(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     farm.job_with(&scene, |job| {
-        job.settings.device = DeviceChoice::Gpu;
-        job.settings.adapter = Some("RTX 40".to_owned());
+        picture(job).device = DeviceChoice::Gpu;
+        picture(job).adapter = Some("RTX 40".to_owned());
     })
     .await;
     let (other, wanted) = (farm.worker_with(&["llvmpipe"]).await, farm.worker_with(&["NVIDIA rtx 4090"]).await);
@@ -169,8 +169,8 @@ pub(super) async fn a_look_tells_what_a_claim_would_find(farm: &Farm) {
     assert_eq!((look(&cpu).await, look(&gpu).await), (Some(false), Some(false)));
     let demanding = farm
         .job_with(&scene, |job| {
-            job.settings.device = DeviceChoice::Gpu;
-            job.settings.adapter = Some("radeon".to_owned());
+            picture(job).device = DeviceChoice::Gpu;
+            picture(job).adapter = Some("radeon".to_owned());
         })
         .await;
     assert_eq!((look(&cpu).await, look(&gpu).await), (Some(false), Some(true)));
@@ -205,7 +205,7 @@ pub(super) async fn poison_is_twice_in_a_row(farm: &Farm) {
 
 pub(super) async fn progress_only_falls_when_a_task_starts_anew(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([2, 1]))).await;
+    let job = farm.job_with(&scene, |job| picture(job).split = Some(Split::Tiles([2, 1]))).await;
     let worker = farm.worker().await;
     let progress = async || {
         let progress = farm.store.task_progress(&job).await.unwrap();
@@ -316,7 +316,7 @@ pub(super) async fn a_failed_task_avoids_the_worker_for_a_while(farm: &Farm) {
 
 pub(super) async fn two_worker_failures_block_the_worker_from_the_job(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([4, 1]))).await;
+    farm.job_with(&scene, |job| picture(job).split = Some(Split::Tiles([4, 1]))).await;
     let (worker, _other) = (farm.worker().await, farm.worker().await);
     for _ in 0..2 {
         let held = farm.claim(&worker).await.unwrap();
@@ -331,7 +331,7 @@ pub(super) async fn two_worker_failures_block_the_worker_from_the_job(farm: &Far
 
 pub(super) async fn the_last_worker_that_could_do_it_gets_every_attempt(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.device = DeviceChoice::Gpu).await;
+    let job = farm.job_with(&scene, |job| picture(job).device = DeviceChoice::Gpu).await;
     let worker = farm.worker_with(&["gpu"]).await;
     // None of these could: without a GPU, draining, removed, not heard of for long.
     let (_cpu, draining, removed) =
@@ -403,7 +403,7 @@ pub(super) async fn attempts_are_used_up(farm: &Farm) {
 
 pub(super) async fn a_fatal_failure_cancels_the_siblings(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([3, 1]))).await;
+    let job = farm.job_with(&scene, |job| picture(job).split = Some(Split::Tiles([3, 1]))).await;
     let worker = farm.worker().await;
     let (bad, running) = (farm.claim(&worker).await.unwrap(), farm.claim(&worker).await.unwrap());
     farm.fail_for_good(&bad).await;

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use lightshaft_api::job::{Job, JobState, Metrics, TaskState, TaskWork};
 use lightshaft_api::lease::{Complete, Fail, NewArtifact, RetryClass, SceneFile};
 use lightshaft_api::scene::{MeshSummary, SceneSummary};
-use lightshaft_api::settings::RenderSettings;
+use lightshaft_api::settings::{JobSettings, RenderSettings};
 use lightshaft_api::worker::{Device, DeviceKind, NewWorker};
 use uuid::Uuid;
 
@@ -181,7 +181,7 @@ pub(super) fn job_record(scene: &str) -> JobRecord {
         priority: 0,
         max_attempts: 3,
         labels: BTreeMap::new(),
-        settings: RenderSettings::default(),
+        settings: JobSettings::default(),
         tasks: vec![TaskWork::Frame],
         trace_id: "0".repeat(32),
         automatic: false,
@@ -281,4 +281,12 @@ suite! {
         totals_count_everything;
     model:
         random_histories_keep_every_promise;
+}
+
+/// The settings of a job that renders.
+fn picture(job: &mut JobRecord) -> &mut RenderSettings {
+    match &mut job.settings {
+        JobSettings::Render(settings) => settings,
+        JobSettings::Benchmark(_) | JobSettings::Build(_) => panic!("the job is no render"),
+    }
 }

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use super::{Farm, Held, TTL};
+use super::{Farm, Held, TTL, picture};
 use crate::queue::{TaskCounts, job_state};
 use crate::store::Close;
 
@@ -98,7 +98,7 @@ async fn apply(farm: &Farm, scene: &str, workers: &[String], seen: &mut Seen, st
     match step {
         Step::Submit { parts } => {
             let split = (parts > 1).then_some(Split::Tiles([parts, 1]));
-            seen.jobs.push(farm.job_with(scene, |job| job.settings.split = split).await);
+            seen.jobs.push(farm.job_with(scene, |job| picture(job).split = split).await);
         }
         Step::Claim { worker } => {
             if let Some(held) = farm.claim(&workers[worker % workers.len()]).await {

@@ -8,7 +8,7 @@ use lightshaft_api::lease::{Complete, NewArtifact, RetryClass};
 use lightshaft_api::mesh::{FindStructures, NewStructure};
 use lightshaft_api::settings::{DeviceChoice, Environment, EnvironmentMap, Split};
 
-use super::{Farm, job_record, scene_record};
+use super::{Farm, job_record, picture, scene_record};
 use crate::store::{Change, Close, Creation, Idempotency, JobQuery, JobRemoval, PageRequest, Removal};
 
 fn first_page(limit: u32) -> PageRequest {
@@ -55,7 +55,7 @@ pub(super) async fn an_idempotency_key_is_forgotten(farm: &Farm) {
 
 pub(super) async fn a_merge_waits_for_every_part(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Passes(2))).await;
+    let job = farm.job_with(&scene, |job| picture(job).split = Some(Split::Passes(2))).await;
     let worker = farm.worker().await;
     use TaskState::{Blocked, Leased, Ready, Succeeded};
     assert_eq!(farm.task_states(&job).await, [Ready, Ready, Blocked]);
@@ -74,7 +74,7 @@ pub(super) async fn a_merge_waits_for_every_part(farm: &Farm) {
 
 pub(super) async fn a_merged_picture_leaves_no_parts(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Passes(2))).await;
+    let job = farm.job_with(&scene, |job| picture(job).split = Some(Split::Passes(2))).await;
     let worker = farm.worker().await;
     let report = |blob: &str, name: &str, source| {
         let cache = CacheReport { mesh: "m".to_owned(), structure: "bvh".to_owned(), source, seconds: 1.0, bytes: 8 };
@@ -108,7 +108,7 @@ pub(super) async fn only_finished_jobs_are_deleted_and_then_with_everything(farm
     let mut record = job_record(&scene);
     record.labels.insert("a".to_owned(), "b".to_owned());
     let map = EnvironmentMap { map: "sky".to_owned(), intensity: 1.0, rotation_deg: 0.0 };
-    record.settings.environment = Some(Environment::Map(map));
+    picture(&mut record).environment = Some(Environment::Map(map));
     farm.store.create_job(&record, Some(&key), farm.now()).await.unwrap();
     let (job, other) = (record.id, farm.job(&scene).await);
     let worker = farm.worker().await;
@@ -168,7 +168,7 @@ pub(super) async fn scenes_get_one_thumbnail_each(farm: &Farm) {
 
 pub(super) async fn a_retry_repeats_only_what_did_not_succeed(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.settings.split = Some(Split::Passes(2))).await;
+    let job = farm.job_with(&scene, |job| picture(job).split = Some(Split::Passes(2))).await;
     let worker = farm.worker().await;
     let (good, bad) = (farm.claim(&worker).await.unwrap(), farm.claim(&worker).await.unwrap());
     farm.complete(&good).await;
@@ -190,9 +190,9 @@ pub(super) async fn a_job_that_nobody_can_do_is_given_up_unless_taken(farm: &Far
     let (scene, _) = farm.scene().await;
     let anywhere = farm.job(&scene).await;
     let demand = |job: &mut crate::store::JobRecord| {
-        job.settings.device = DeviceChoice::Gpu;
-        job.settings.adapter = Some("Radeon".to_owned());
-        job.settings.split = Some(Split::Tiles([2, 1]));
+        picture(job).device = DeviceChoice::Gpu;
+        picture(job).adapter = Some("Radeon".to_owned());
+        picture(job).split = Some(Split::Tiles([2, 1]));
     };
     let (job, taken) = (farm.job_with(&scene, demand).await, farm.job_with(&scene, demand).await);
     let paused = farm.job_with(&scene, demand).await;
@@ -416,7 +416,7 @@ pub(super) async fn used_blobs_are_known(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     let job = farm.job_with(&scene, |job| {
         let map = EnvironmentMap { map: "sky".to_owned(), intensity: 1.0, rotation_deg: 0.0 };
-        job.settings.environment = Some(Environment::Map(map));
+        picture(job).environment = Some(Environment::Map(map));
     });
     job.await;
     let worker = farm.worker().await;
@@ -452,7 +452,7 @@ pub(super) async fn the_store_can_be_written(farm: &Farm) {
 
 pub(super) async fn totals_count_everything(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    farm.job_with(&scene, |job| job.settings.split = Some(Split::Tiles([3, 1]))).await;
+    farm.job_with(&scene, |job| picture(job).split = Some(Split::Tiles([3, 1]))).await;
     let cancelled = farm.job(&scene).await;
     farm.store.cancel_job(&cancelled, farm.now()).await.unwrap();
     let worker = farm.worker().await;

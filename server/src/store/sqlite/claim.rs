@@ -3,6 +3,7 @@
 use lightshaft_api::event::EventKind;
 use lightshaft_api::job::{AttemptOutcome, Phase, TaskWork};
 use lightshaft_api::lease::{LeaseScene, NewArtifact, Part, SceneFile};
+use lightshaft_api::settings::JobSettings;
 use serde_json::json;
 use sqlx::FromRow;
 
@@ -74,6 +75,11 @@ impl SqliteStore {
         let data = json!({ "task": row.id, "attempt": claim.attempt, "worker": claim.worker });
         emit(&mut tx, claim.now, &row.job_id, EventKind::TaskLeased, data).await?;
         let work: TaskWork = from_json(&row.work)?;
+        let settings: JobSettings = from_json(&row.settings)?;
+        let mut more_scenes = Vec::new();
+        for scene in settings.further_scenes() {
+            more_scenes.extend(read_further_scene(&mut tx, scene).await?);
+        }
         let claimed = ClaimedTask {
             parts: if work == TaskWork::Merge { read_parts(&mut tx, &row.job_id).await? } else { Vec::new() },
             scene: read_lease_scene(&mut tx, &row.scene_id, &row.scene_name).await?,
@@ -81,7 +87,8 @@ impl SqliteStore {
             task: row.id,
             number: row.leases,
             work,
-            settings: from_json(&row.settings)?,
+            settings,
+            more_scenes,
             trace_id: row.trace_id,
             waited_ms: claim.now - row.run_at,
         };
@@ -149,6 +156,19 @@ impl SqliteStore {
             .await
             .map_err(context("noting a task's progress"))?;
         Ok(())
+    }
+}
+
+/// `None` when it was deleted since the job was made: the worker misses it.
+async fn read_further_scene(tx: &mut Tx, id: &str) -> Result<Option<LeaseScene>> {
+    let name: Option<String> = sqlx::query_scalar("SELECT name FROM scene WHERE id = $1 AND deleted_at IS NULL")
+        .bind(id)
+        .fetch_optional(&mut **tx)
+        .await
+        .map_err(context("reading a further scene"))?;
+    match name {
+        Some(name) => read_lease_scene(tx, id, &name).await.map(Some),
+        None => Ok(None),
     }
 }
 

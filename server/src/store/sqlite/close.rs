@@ -22,7 +22,7 @@ macro_rules! held {
     ($which:literal) => {
         concat!(
             "SELECT a.id AS attempt, a.number, a.phase, t.id AS task, t.job_id AS job, a.worker_id AS worker, t.spent,
-                    j.max_attempts, t.cancel_requested, t.is_merge, json_extract(t.work, '$.kind') = 'frame' AS is_frame
+                    j.max_attempts, t.cancel_requested, t.is_merge, json_extract(t.work, '$.kind') IN ('frame', 'benchmark', 'build') AS is_whole
              FROM attempt a JOIN task t ON t.lease_token = a.token JOIN job j ON j.id = t.job_id WHERE ",
             $which
         )
@@ -41,7 +41,7 @@ struct Held {
     max_attempts: u32,
     cancel_requested: bool,
     is_merge: bool,
-    is_frame: bool,
+    is_whole: bool,
 }
 
 enum Lookup {
@@ -222,9 +222,9 @@ async fn expire(tx: &mut Tx, all: Vec<Held>, why: &str, now: Millis) -> Result<V
     Ok(expired)
 }
 
-/// A part's are kept until they are summed up; those of a whole picture are the job's.
+/// A part's are kept until they are summed up; those of a whole job are the job's.
 async fn keep_metrics(tx: &mut Tx, held: &Held, mut parts: Metrics, own: &Metrics) -> Result<()> {
-    if !held.is_merge && !held.is_frame {
+    if !held.is_merge && !held.is_whole {
         sqlx::query("UPDATE attempt SET metrics = $2 WHERE id = $1")
             .bind(&held.attempt)
             .bind(to_json(own)?)

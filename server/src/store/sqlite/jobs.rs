@@ -2,7 +2,7 @@
 
 use lightshaft_api::event::EventKind;
 use lightshaft_api::job::{JobState, TaskWork};
-use lightshaft_api::settings::Environment;
+use lightshaft_api::settings::{Environment, JobSettings};
 use serde_json::json;
 use sqlx::{FromRow, SqliteExecutor};
 use uuid::Uuid;
@@ -197,14 +197,17 @@ async fn repeated(tx: &mut Tx, idempotency: &Idempotency) -> Result<Option<Creat
 }
 
 async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
-    let environment_blob = match &job.settings.environment {
-        Some(Environment::Map(map)) => Some(&map.map),
-        _ => None,
+    let environment_blob = match &job.settings {
+        JobSettings::Render(settings) => match &settings.environment {
+            Some(Environment::Map(map)) => Some(&map.map),
+            _ => None,
+        },
+        JobSettings::Benchmark(_) | JobSettings::Build(_) => None,
     };
     sqlx::query(
         "INSERT INTO job (id, kind, scene_id, state, automatic, priority, max_attempts, settings, environment_blob,
                           trace_id, created_at)
-         VALUES ($1, 'render', $2, 'queued', $3, $4, $5, $6, $7, $8, $9)",
+         VALUES ($1, $10, $2, 'queued', $3, $4, $5, $6, $7, $8, $9)",
     )
     .bind(&job.id)
     .bind(&job.scene)
@@ -215,6 +218,7 @@ async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
     .bind(environment_blob)
     .bind(&job.trace_id)
     .bind(now)
+    .bind(job.settings.kind().as_str())
     .execute(&mut **tx)
     .await
     .map_err(context("adding a job"))?;

@@ -286,6 +286,9 @@ impl SqliteStore {
 /// The ids of a page of jobs. Only conditions that are asked for are written down, so that each finds its index.
 fn push_page(statement: &mut QueryBuilder<Sqlite>, query: &JobQuery, page: &PageRequest) {
     statement.push("SELECT j.id FROM job j WHERE TRUE");
+    if let Some(kind) = query.kind {
+        statement.push(" AND j.kind = ").push_bind(kind.as_str());
+    }
     if let Some(after) = &page.after {
         statement.push(" AND j.id < ").push_bind(after.clone());
     }

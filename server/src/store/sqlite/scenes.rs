@@ -154,12 +154,15 @@ impl SqliteStore {
 
     pub(super) async fn do_delete_scene(&self, id: &str, now: Millis) -> Result<Removal> {
         let mut tx = self.begin().await?;
-        let unfinished: Vec<(String, bool)> =
-            sqlx::query_as("SELECT id, automatic FROM job WHERE scene_id = $1 AND state IN ('queued', 'running')")
-                .bind(id)
-                .fetch_all(&mut *tx)
-                .await
-                .map_err(context("looking for a scene's jobs"))?;
+        let unfinished: Vec<(String, bool)> = sqlx::query_as(
+            "SELECT id, automatic FROM job WHERE scene_id = $1 AND state IN ('queued', 'running')
+                 UNION SELECT j.id, FALSE FROM job j, json_each(j.settings, '$.scenes') further
+                 WHERE j.kind = 'benchmark' AND j.state IN ('queued', 'running') AND further.value = $1",
+        )
+        .bind(id)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(context("looking for a scene's jobs"))?;
         if unfinished.iter().any(|(_, automatic)| !automatic) {
             return Ok(Removal::InUse);
         }
