@@ -75,9 +75,14 @@ struct PathSample {
     seed: u32,
 }
 
-// Which sample of which pixel a slot is.
+// Which sample of which pixel a slot is. Pixels take turns in runs from all over the region (`pace.rs`).
 fn path_sample(slot: u32) -> PathSample {
-    let pixel = wave.first_pixel + slot / wave.samples;
+    let turn = wave.first_pixel + slot / wave.samples;
+    let run = turn / wave.run;
+    var pixel = turn;
+    if run < wave.runs {
+        pixel = run * wave.run_step % wave.runs * wave.run + turn % wave.run;
+    }
     let x = wave.region_x + pixel % wave.region_width;
     let y = wave.region_y + pixel / wave.region_width;
     return PathSample(x, y, wave.first_sample + slot % wave.samples, pixel_seed(x, y, wave.seed));

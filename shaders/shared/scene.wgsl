@@ -129,12 +129,12 @@ struct SceneInfo {
     _pad: u32,
 }
 
-// One dispatch's part of the work: slots 0 .. pixels * samples are the samples of a run of the region's pixels.
+// One dispatch's part of the work: slots 0 .. pixels * samples are the samples of some of the region's pixels.
 struct Wave {
     region_x: u32,
     region_y: u32,
     region_width: u32,
-    // Number of the run's first pixel in the region, row by row.
+    // Turn of the first pixel in the region's order (`path_sample`).
     first_pixel: u32,
     pixels: u32,
     first_sample: u32,
@@ -160,6 +160,11 @@ struct Wave {
     capacity: u32,
     // Number of the queue with the active paths, 0 or 1.
     active_queue: u32,
+    // The order of pixels: `PixelOrder`.
+    run: u32,
+    runs: u32,
+    run_step: u32,
+    _pad: u32,
 }
 
 // All arrays of structs, one after the other: adapters bind few storage buffers at once.

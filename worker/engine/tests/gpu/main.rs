@@ -8,6 +8,7 @@ mod pictures;
 mod portability;
 mod scenes;
 mod shafts;
+mod submits;
 mod traversal;
 
 use std::sync::{Arc, OnceLock};

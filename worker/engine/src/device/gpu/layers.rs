@@ -44,7 +44,7 @@ impl Layers {
         Ok(Self { pipeline, group, buffer, pixels })
     }
 
-    /// Pixels `first .. first + pixels` of the region.
+    /// So many pixels from the `first` in the region's order on.
     pub(super) fn render(
         &self,
         run: &Run<'_>,
@@ -52,17 +52,7 @@ impl Layers {
         first: u32,
         pixels: u32,
     ) -> Result<Vec<FirstHit>, DeviceError> {
-        let wave = Wave {
-            region_x: region.x,
-            region_y: region.y,
-            region_width: region.width,
-            first_pixel: first,
-            pixels,
-            samples: 1,
-            closest_number: NONE,
-            infinity: f32::INFINITY.to_bits(),
-            ..Wave::default()
-        };
+        let wave = Wave { pixels, samples: 1, closest_number: NONE, ..Wave::over(region, first) };
         run.submit(&wave, |encoder| {
             let mut pass = run.pass(encoder, &self.pipeline, &self.group);
             pass.dispatch_workgroups(pixels.div_ceil(WORKGROUP), 1, 1);

@@ -6,6 +6,7 @@
 mod adapter;
 mod context;
 mod layers;
+mod pace;
 mod pool;
 mod renderer;
 mod scene;

@@ -1,10 +1,13 @@
-//! Renders passes in waves: as many samples at a time as keep every submit at tens of milliseconds.
+//! Renders passes in waves: as many samples at a time as keep every submit at tens of milliseconds ([`super::pace`]).
 
 use std::sync::Arc;
 use std::time::Instant;
 
+use bytemuck::Zeroable;
+
 use super::context::Context;
 use super::layers::Layers;
+use super::pace::{Pace, PixelOrder};
 use super::scene::{GpuScene, Wave};
 use super::stages::{MIN_SLOTS, Run, Stages, WIDEST_SLOT_BYTES, most_bindings};
 use super::structure::{GpuStructure, Kept};
@@ -15,12 +18,6 @@ use crate::pack::{NONE, PackedScene};
 use crate::settings::{Integrator, RenderSettings};
 use crate::trace::Counters;
 
-/// What one submit should take. Long enough that gaps between submits do not count, short enough for a display, a
-/// cancel and the drivers' watchdogs.
-const SUBMIT_TARGET_S: f64 = 0.025;
-/// First wave: small, because nothing is known of the device's speed.
-const FIRST_SLOTS: u32 = 2048;
-const MAX_SLOTS: u32 = 1 << 20;
 /// Samples of a pixel that stand side by side in a wave, when there are so many: their rays are alike.
 const SAMPLES_TOGETHER: u32 = 16;
 /// Times that one wave is tried again on a fresh device.
@@ -50,34 +47,6 @@ impl Resident {
             scene: &self.scene,
             longest_s: std::cell::Cell::new(0.0),
         }
-    }
-}
-
-/// How many slots the next wave gets: grows and shrinks with what the last one took.
-#[derive(Debug)]
-struct Pace {
-    slots: u32,
-    /// A power of two.
-    most: u32,
-    /// The first wave's time is mostly that of the driver's compiler.
-    warm: bool,
-}
-
-impl Pace {
-    /// `slot_bytes`: what a slot takes in the buffer where it takes most.
-    fn new(context: &Context, slot_bytes: u64) -> Self {
-        let most = 1 << (context.binding_limit() / slot_bytes).clamp(1, MAX_SLOTS.into()).ilog2();
-        Self { slots: FIRST_SLOTS.min(most), most, warm: false }
-    }
-
-    /// Answers the seconds of the longest submit again, unless they say nothing of later ones.
-    fn record(&mut self, longest_s: f64) -> f64 {
-        if !std::mem::replace(&mut self.warm, true) {
-            return 0.0;
-        }
-        let factor = (SUBMIT_TARGET_S / longest_s.max(1e-6)).clamp(0.5, 2.0);
-        self.slots = ((f64::from(self.slots) * factor) as u32).clamp(MIN_SLOTS.min(self.most), self.most);
-        longest_s
     }
 }
 
@@ -114,7 +83,8 @@ impl GpuRenderer {
     }
 
     fn paces(context: &Context) -> (Pace, Pace) {
-        (Pace::new(context, WIDEST_SLOT_BYTES), Pace::new(context, size_of::<FirstHit>() as u64))
+        let pace = |slot_bytes| Pace::new(MIN_SLOTS, slot_bytes, context.binding_limit());
+        (pace(WIDEST_SLOT_BYTES), pace(size_of::<FirstHit>() as u64))
     }
 
     /// Runs `work`; when the device is lost, again on a new one.
@@ -146,7 +116,7 @@ impl GpuRenderer {
 
     /// Stages with room for the next wave.
     fn reserve_stages(&mut self, needed: u64) -> Result<(), DeviceError> {
-        let slots = needed.min(u64::from(self.wave_pace.slots)) as u32;
+        let slots = needed.min(u64::from(self.wave_pace.slots())) as u32;
         if self.stages.as_ref().is_none_or(|stages| stages.slots < slots) {
             self.stages = None;
             let Resident { context, structure, scene } = &self.resident;
@@ -155,12 +125,13 @@ impl GpuRenderer {
         Ok(())
     }
 
-    /// The sums over all samples of the pass of a run of pixels, the first one `first`; how many, is up to the pace.
+    /// The sums over all samples of the pass of pixels from the `first` in the region's order on; how many, is up to the
+    /// pace.
     fn render_run(&mut self, pass: &Pass, first: u32, watch: &dyn Watch) -> Result<RunSums, DeviceError> {
         let left = pass.region.pixels() as u32 - first;
         self.reserve_stages(u64::from(left) * u64::from(pass.samples))?;
         let Some(stages) = &self.stages else { return Err(DeviceError::Other("no stages".to_owned())) };
-        let slots = stages.slots.min(self.wave_pace.slots);
+        let slots = stages.slots.min(self.wave_pace.slots());
         let pixels = (slots / pass.samples.min(SAMPLES_TOGETHER)).clamp(1, left);
         let context = &*self.resident.context;
         let (closest_before, shadow_before) = stages.ray_totals(context)?;
@@ -169,27 +140,22 @@ impl GpuRenderer {
             if watch.cancelled() {
                 return Err(DeviceError::Cancelled);
             }
-            let slots = stages.slots.min(self.wave_pace.slots);
+            let slots = stages.slots.min(self.wave_pace.slots());
             let samples = (slots / pixels).clamp(1, pass.samples - done);
             let wave = Wave {
-                region_x: pass.region.x,
-                region_y: pass.region.y,
-                region_width: pass.region.width,
-                first_pixel: first,
                 pixels,
                 first_sample: pass.first_sample + done,
                 samples,
                 seed: self.seed,
-                infinity: f32::INFINITY.to_bits(),
                 accumulated: done,
                 capacity: stages.slots,
-                ..Wave::default()
+                ..Wave::over(pass.region, first)
             };
             let run = self.resident.run();
             render_wave(stages, &run, wave, self.integrator)?;
             let wave_s = run.longest_s.get();
             tracing::trace!(slots = pixels * samples, longest_s = wave_s, "wave");
-            longest_s = longest_s.max(self.wave_pace.record(wave_s));
+            longest_s = longest_s.max(self.wave_pace.record(pixels * samples, wave_s));
             done += samples;
             let finished = f64::from(first) + f64::from(pixels) * f64::from(done) / f64::from(pass.samples);
             watch.progress(finished / pass.region.pixels() as f64);
@@ -206,6 +172,16 @@ impl GpuRenderer {
         };
         Ok(RunSums { sums: stages.sums(context, pixels)?, rays, longest_s })
     }
+}
+
+/// Values of a region's pixels that came in the order of their turns, row by row.
+fn in_rows<T: Copy + Zeroable>(region: Region, values: &[T]) -> Vec<T> {
+    let order = PixelOrder::new(region.pixels() as u32);
+    let mut rows = vec![T::zeroed(); values.len()];
+    for (number, value) in (0..).zip(values) {
+        rows[order.pixel(number) as usize] = *value;
+    }
+    rows
 }
 
 struct RunSums {
@@ -273,8 +249,9 @@ impl Renderer for GpuRenderer {
             stats.rays += run.rays;
             stats.longest_submit_s = stats.longest_submit_s.max(run.longest_s);
         }
+        let sums = in_rows(pass.region, &sums);
         // Only now, so that a cancelled pass leaves the film as it was.
-        for (i, sum) in pass.region.places_in(film.region).zip(&sums) {
+        for (i, sum) in pass.region.places_in(film.region).zip(sums) {
             (0..3).for_each(|c| film.sum[i][c] += sum[c]);
         }
         film.samples += pass.samples;
@@ -293,11 +270,11 @@ impl Renderer for GpuRenderer {
             }
             let first = hits.len() as u32;
             let (part, longest_s) = self.with_retries(|renderer| {
-                let pixels = renderer.layer_pace.slots.min(region.pixels() as u32 - first);
+                let pixels = renderer.layer_pace.slots().min(region.pixels() as u32 - first);
                 let layers = Layers::reserve(&mut renderer.layers, &renderer.resident, pixels)?;
                 let run = renderer.resident.run();
                 let hits = layers.render(&run, region, first, pixels)?;
-                Ok((hits, renderer.layer_pace.record(run.longest_s.get())))
+                Ok((hits, renderer.layer_pace.record(pixels, run.longest_s.get())))
             })?;
             hits.extend(part);
             stats.longest_submit_s = stats.longest_submit_s.max(longest_s);
@@ -307,7 +284,7 @@ impl Renderer for GpuRenderer {
             stats.counters += Counters { box_tests, triangle_tests, ..Counters::default() };
         }
         stats.rays.primary = hits.len() as u64;
-        out.store_hits(region, &hits);
+        out.store_hits(region, &in_rows(region, &hits));
         stats.seconds = started.elapsed().as_secs_f64();
         Ok(stats)
     }
@@ -315,5 +292,45 @@ impl Renderer for GpuRenderer {
     fn device_bytes(&self) -> u64 {
         let stages = self.stages.as_ref().map_or(0, Stages::bytes);
         self.resident.structure.bytes + self.resident.scene.bytes + stages
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Affine3A, Vec3};
+
+    use super::*;
+    use crate::device::Device;
+    use crate::device::gpu::GpuDevice;
+    use crate::integrate::tests::{camera, matte, prepare, scene, settings, sphere, square};
+
+    #[test]
+    fn jobs_leave_nothing_behind() {
+        let context = Arc::new(Context::open(None).expect("tests need an adapter (mesa-vulkan-drivers has one)"));
+        let allocated = || {
+            let report = context.device.generate_allocator_report().expect("Vulkan counts");
+            (report.allocations.len(), report.total_allocated_bytes)
+        };
+        let mut device = GpuDevice::with_context(context.clone());
+        let mut job = |number: usize| {
+            let lifted = Affine3A::from_translation(Vec3::Z * number as f32);
+            let objects =
+                scene(vec![(square(), matte(0.5, 1.0), Affine3A::IDENTITY), (sphere(), matte(0.5, 1.0), lifted)]);
+            let integrator = if number.is_multiple_of(2) {
+                Integrator::Direct
+            } else {
+                Integrator::Ao { samples: 2, distance: 1.0 }
+            };
+            let settings = settings(integrator, camera(Vec3::ZERO, Vec3::Z, 4.0, 1.0), 1.0);
+            let region = Region::full(&settings);
+            let mut renderer = device.prepare(Arc::new(prepare(&objects, &settings)), &settings).expect("prepares");
+            let mut film = PassFilm::new(region);
+            renderer.render(&Pass { region, first_sample: 0, samples: 1 }, &mut film, &|| false).expect("renders");
+        };
+        job(0);
+        job(1);
+        let after_two = allocated();
+        (2..30).for_each(&mut job);
+        assert_eq!(allocated(), after_two);
     }
 }

@@ -7,8 +7,9 @@
 use bytemuck::{Pod, Zeroable};
 
 use super::context::{Context, whole};
+use super::pace::PixelOrder;
 use super::pool::{Pool, PoolLayout};
-use crate::device::DeviceError;
+use crate::device::{DeviceError, Region};
 use crate::integrate::sampler::SOBOL;
 use crate::integrate::texture::srgb_to_linear;
 use crate::pack::{PackedCamera, PackedEnvironment, PackedScene};
@@ -67,8 +68,30 @@ pub(super) struct Wave {
     pub zero: u32,
     pub capacity: u32,
     pub active_queue: u32,
+    pub run: u32,
+    pub runs: u32,
+    pub run_step: u32,
+    pub _pad: u32,
 }
-const _: () = assert!(size_of::<Wave>() == 80);
+const _: () = assert!(size_of::<Wave>() == 96);
+
+impl Wave {
+    /// Over a region's pixels from the `first` in its order on.
+    pub(super) fn over(region: Region, first: u32) -> Self {
+        let PixelOrder { run, runs, step } = PixelOrder::new(region.pixels() as u32);
+        Self {
+            region_x: region.x,
+            region_y: region.y,
+            region_width: region.width,
+            first_pixel: first,
+            infinity: f32::INFINITY.to_bits(),
+            run,
+            runs,
+            run_step: step,
+            ..Self::default()
+        }
+    }
+}
 
 pub(super) struct GpuScene {
     pub pools: [PoolLayout; 2],

@@ -75,5 +75,6 @@ pub(super) const STAGES: &[(&str, &str)] = embed!(
 );
 const SHARED: &[(&str, &str)] = embed!(
     "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "environment", "intersect", "lights", "math", "paths",
-    "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse", "traverse_baseline"
+    "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse", "traverse_baseline",
+    "vertex"
 );

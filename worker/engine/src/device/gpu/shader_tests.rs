@@ -3,10 +3,12 @@
 use wgpu::naga;
 
 use super::context::{Context, whole};
+use super::pace::PixelOrder;
 use super::pool::PoolLayout;
 use super::scene::{SceneInfo, Wave};
 use super::shader::{STAGES, Variant, compose, compose_text};
 use super::tracer::{GpuHit, GpuPath, GpuRay};
+use crate::device::Region;
 use crate::integrate::aov::FirstHit;
 use crate::pack::{
     PackedCamera, PackedEnvironment, PackedInstance, PackedLight, PackedMaterial, PackedMesh, PackedTexture,
@@ -216,7 +218,10 @@ fn shader_structs_lie_in_memory_as_rusts_do() {
         accumulated,
         zero,
         capacity,
-        active_queue
+        active_queue,
+        run,
+        runs,
+        run_step
     );
     assert_layout!(&shade, "Ray", GpuRay, origin, t_min, direction, t_max);
     assert_layout!(&shade, "Hit", GpuHit, t, u, v, instance, primitive);
@@ -309,5 +314,46 @@ fn sines_and_cosines_are_those_of_the_cpu() {
         let (expected_sine, expected_cosine) = f64::from(angle).sin_cos();
         let error = (f64::from(sine) - expected_sine).abs().max((f64::from(cosine) - expected_cosine).abs());
         assert!(error < 2e-7, "{angle}: {cosine}, {sine}");
+    }
+}
+
+#[test]
+fn pixels_take_turns_as_the_host_believes() {
+    let context = Context::open(None).expect("tests need an adapter (mesa-vulkan-drivers has one)");
+    let region = Region { x: 3, y: 5, width: 67, height: 61 };
+    let order = PixelOrder::new(region.pixels() as u32);
+    let text = "//!include rays\n//!include scene\n//!include math\n//!include sampler\n\
+         @group(2) @binding(0) var<storage, read_write> found: array<vec2<u32>>;\n\
+         @compute @workgroup_size(64)\n\
+         fn main(@builtin(global_invocation_id) id: vec3<u32>) {\n\
+             let sample = path_sample(id.x);\n\
+             found[id.x] = vec2<u32>(sample.x, sample.y);\n\
+         }\n";
+    let source = compose_text("turns test", text, &Variant { pools: &pools(1), ..Variant::default() });
+    let wave = Wave { samples: 1, ..Wave::over(region, 0) };
+    let count = region.pixels().next_multiple_of(64);
+    let found = context.upload("found", &vec![0; 8 * count]).expect("fits");
+    let info = context.uniform("scene info", bytemuck::bytes_of(&SceneInfo::default())).expect("fits");
+    let wave = context.uniform("wave", bytemuck::bytes_of(&wave)).expect("fits");
+    let empty = context.upload("empty", &[0; 16]).expect("fits");
+    let entry = |binding| wgpu::BindGroupEntry { binding, resource: empty.as_entire_binding() };
+    let (scene_layout, scene) = context.bind_storage("scene", &[entry(0), entry(1), entry(5)], true);
+    let (found_layout, founds) = context.bind_buffers("found", &[whole(&found)]);
+    let (uniform_layout, uniforms) = context.bind_uniforms("uniforms", &[whole(&info), whole(&wave)]);
+    let groups = [None, Some(&scene_layout), Some(&found_layout), Some(&uniform_layout)];
+    let pipeline = context.pipeline(&source, &groups);
+    let mut encoder = context.encoder();
+    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+    pass.set_pipeline(&pipeline);
+    pass.set_bind_group(1, &scene, &[]);
+    pass.set_bind_group(2, &founds, &[]);
+    pass.set_bind_group(3, &uniforms, &[]);
+    pass.dispatch_workgroups((count / 64) as u32, 1, 1);
+    drop(pass);
+    context.submit(encoder).expect("runs");
+    let read: Vec<[u32; 2]> = context.read(&found, region.pixels()).expect("reads");
+    for (turn, place) in (0..).zip(read) {
+        let pixel = order.pixel(turn);
+        assert_eq!(place, [region.x + pixel % region.width, region.y + pixel / region.width], "turn {turn}");
     }
 }
