@@ -2,19 +2,22 @@
 
 //!include traverse
 //!include accept_all
+//!include gate_tell
 
 @group(2) @binding(0) var<storage, read_write> rays: array<Ray>;
 @group(2) @binding(1) var<storage, read_write> paths: array<Path>;
-@group(2) @binding(2) var<storage, read_write> queue: array<u32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= queue[0] {
+    if id.x >= queue_count() {
         return;
     }
-    let slot = queue[id.x + 1u];
+    let slot = queue_slot(id.x);
     begin_filter(slot);
     if trace(rays[slot]).hit.instance == NONE {
         paths[slot].radiance += paths[slot].contribution;
+    }
+    if GATED {
+        tell_gate_counts(id.x);
     }
 }

@@ -10,7 +10,7 @@
 
 const SHADOW_QUEUE = 2u;
 // A queue takes this many words more than it has slots, so that each can be bound for itself (QUEUE_HEADER in stages.rs).
-const QUEUE_HEADER = 64u;
+const QUEUE_HEADER = 384u;
 
 fn queue_start(queue: u32) -> u32 {
     return queue * (wave.capacity + QUEUE_HEADER);

@@ -7,16 +7,18 @@
 // mesh plus two, cannot overflow.
 //
 // Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), FILTERED
-// (some placements' hits go through the alpha filter), COUNTING.
+// (some placements' hits go through the alpha filter), COUNTING, and those of `gate.wgsl`.
 
 //!include rays
 //!include intersect
+//!include gate
 //!pool nodes
 //!pool prims
 
 // `prims` begins with the leaf entries of the top level, four elements an instance: rows of the inverse 3x3 matrix, each
-// with a component of the translation that comes off before it; then (root node, instance, flags, 0). From the next
-// multiple of three on those of the meshes, three elements a primitive.
+// with a component of the translation that comes off before it; then (root node, instance, flags, gate). From the next
+// multiple of three on those of the meshes, three elements a primitive; then the records of gates, which placements name
+// by their element, or by 0 when there is none.
 const PLACEMENT_FILTERED = 1u;
 const PRIMITIVE_SPHERE = 1u;
 
@@ -142,8 +144,10 @@ fn trace(world: Ray) -> Trace {
     var result: Trace;
     var best = Hit(world.t_max, 0.0, 0.0, 0u, 0u);
     var found = false;
+    // The top entry stands apart, and is empty when its bits are 0: most are pushed and popped again while it holds them.
     var stack: array<vec2<u32>, STACK_SIZE>;
     var sp = 0u;
+    var top = vec2<u32>(0u);
     // Stack height at which the current instance ends; NONE in the top level.
     var floor_sp = NONE;
     var instance = 0u;
@@ -160,8 +164,11 @@ fn trace(world: Ray) -> Trace {
             let slot = bit ^ octant;
             let node = inner.x + countOneBits(inner.y & 0xffu & ((1u << slot) - 1u));
             if inner.y > 0x00ffffffu {
-                stack[sp] = inner;
-                sp += 1u;
+                if top.y != 0u {
+                    stack[sp] = top;
+                    sp += 1u;
+                }
+                top = inner;
             }
             let groups = visit(node, ray, world.t_min, best.t, octant);
             inner = groups.inner;
@@ -178,29 +185,54 @@ fn trace(world: Ray) -> Trace {
             leaf.y ^= bit;
             let entry = leaf.x + highest_bit(bit);
             if floor_sp == NONE {
-                // An instance: remember what is left of the top level, and go on at the mesh's root.
-                if inner.y > 0x00ffffffu {
-                    stack[sp] = inner;
-                    sp += 1u;
-                }
-                if leaf.y != 0u {
-                    stack[sp] = leaf;
-                    sp += 1u;
-                }
-                floor_sp = sp;
                 let r0 = bitcast<vec4<f32>>(prims_at(entry * 4u));
                 let r1 = bitcast<vec4<f32>>(prims_at(entry * 4u + 1u));
                 let r2 = bitcast<vec4<f32>>(prims_at(entry * 4u + 2u));
                 let r3 = prims_at(entry * 4u + 3u);
                 let o = world.origin - vec3<f32>(r0.w, r1.w, r2.w);
                 let d = world.direction;
-                ray = prepare_ray(
-                    vec3<f32>(dot(r0.xyz, o), dot(r1.xyz, o), dot(r2.xyz, o)),
-                    vec3<f32>(dot(r0.xyz, d), dot(r1.xyz, d), dot(r2.xyz, d)),
-                );
+                let origin = vec3<f32>(dot(r0.xyz, o), dot(r1.xyz, o), dot(r2.xyz, o));
+                let direction = vec3<f32>(dot(r0.xyz, d), dot(r1.xyz, d), dot(r2.xyz, d));
+                let is_filtered = (r3.z & PLACEMENT_FILTERED) != 0u;
+                if GATED {
+                    if r3.w != 0u {
+                        let approximate = APPROXIMATE && ANY_HIT && !is_filtered;
+                        let verdict = ask_gate(r3.w, approximate, origin, direction, world.t_min, best.t);
+                        if verdict == VERDICT_MISS {
+                            continue;
+                        }
+                        // The filter may let the ray pass through what is there.
+                        if ANY_HIT && verdict == VERDICT_HIT && !is_filtered {
+                            best.instance = r3.y;
+                            found = true;
+                            leaf.y = 0u;
+                            inner.y = 0u;
+                            sp = 0u;
+                            top.y = 0u;
+                            continue;
+                        }
+                    }
+                }
+                // Remember what is left of the top level, and go on at the mesh's root.
+                if inner.y > 0x00ffffffu {
+                    if top.y != 0u {
+                        stack[sp] = top;
+                        sp += 1u;
+                    }
+                    top = inner;
+                }
+                if leaf.y != 0u {
+                    if top.y != 0u {
+                        stack[sp] = top;
+                        sp += 1u;
+                    }
+                    top = leaf;
+                }
+                floor_sp = sp + select(0u, 1u, top.y != 0u);
+                ray = prepare_ray(origin, direction);
                 octant = octant_of(ray);
                 instance = r3.y;
-                filtered = (r3.z & PLACEMENT_FILTERED) != 0u;
+                filtered = is_filtered;
                 inner = vec2<u32>(r3.x, 0x80000000u);
                 leaf.y = 0u;
             } else {
@@ -236,22 +268,28 @@ fn trace(world: Ray) -> Trace {
                         leaf.y = 0u;
                         inner.y = 0u;
                         sp = 0u;
+                        top.y = 0u;
                         floor_sp = NONE;
                     }
                 }
             }
         }
         if inner.y <= 0x00ffffffu {
-            if sp == floor_sp {
+            let height = sp + select(0u, 1u, top.y != 0u);
+            if height == 0u {
+                break;
+            }
+            if height == floor_sp {
                 floor_sp = NONE;
                 ray = prepare_ray(world.origin, world.direction);
                 octant = octant_of(ray);
             }
-            if sp == 0u {
-                break;
+            inner = top;
+            if top.y == 0u {
+                sp -= 1u;
+                inner = stack[sp];
             }
-            sp -= 1u;
-            inner = stack[sp];
+            top.y = 0u;
         }
     }
     result.hit = best;

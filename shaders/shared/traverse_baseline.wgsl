@@ -1,5 +1,5 @@
 // The benchmark's base: a plain binary BVH, one 32-byte node per box, a private stack of node numbers, near child
-// first. Two levels and the same primitive tests as `traverse.wgsl`, which it stands in for.
+// first. Two levels and the same primitive tests as `traverse.wgsl`, which it stands in for; no gates.
 
 //!include rays
 //!include intersect

@@ -405,6 +405,38 @@ fn with_exact_every_payload_gives_the_picture_of_the_structure_alone_on_every_sc
     assert!(answered > 10_000, "only {answered} rays were answered: the test says little");
 }
 
+/// The GPU reads the Line Spaces that the CPU built: one payload of each kind of record.
+#[test]
+fn with_exact_the_picture_on_the_gpu_is_that_of_the_structure_alone_too() {
+    let executor = executor_on(DeviceChoice::Auto);
+    let mut answered = 0;
+    for kind in ["forest", "pile", "foliage-cards"] {
+        let inputs = small_scene(kind);
+        let plain = RenderSettings {
+            device: DeviceChoice::Gpu,
+            acceleration: Acceleration::default(),
+            ..with_line_space(LineSpace::default())
+        };
+        let expected = run(&executor, &TaskWork::Frame, &plain, &inputs);
+        for line_space in payloads().into_iter().take(3) {
+            let settings = RenderSettings { device: DeviceChoice::Gpu, ..with_line_space(line_space.clone()) };
+            let outputs = run(&executor, &TaskWork::Frame, &settings, &inputs);
+            assert_eq!(outputs.metrics.device_kind, "gpu");
+            assert!(pixels(&outputs) == pixels(&expected), "{kind}: {line_space:?} changes the picture");
+            let used = outputs.metrics.line_space.expect("a job with line spaces");
+            answered += used.empty + used.opaque;
+            let told = used.starts_inside + used.beside + used.empty + used.opaque + used.mixed + used.too_far;
+            assert_eq!(used.rays, told, "{used:?}");
+            // What pays on the CPU says nothing of a GPU.
+            let line_space = LineSpace { ask: Ask::WhereItPays, ..line_space };
+            let settings = RenderSettings { device: DeviceChoice::Gpu, ..with_line_space(line_space) };
+            let used = run(&executor, &TaskWork::Frame, &settings, &inputs).metrics.line_space;
+            assert_eq!(used.map(|used| (used.asked, used.rays)), Some((0, 0)));
+        }
+    }
+    assert!(answered > 1000, "only {answered} rays were answered: the test says little");
+}
+
 #[test]
 fn a_second_job_finds_every_line_space() {
     let (executor, inputs) = (executor(), small_scene("forest"));

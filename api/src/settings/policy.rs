@@ -156,9 +156,10 @@ impl Acceleration {
             "line spaces are available with structures two_level, bvh and ntree alone",
         );
         c.check(
-            device != DeviceChoice::Gpu,
+            device != DeviceChoice::Gpu || (self.structure == StructureKind::TwoLevel && !self.asks_nodes()),
             "line_space",
-            "must be null on device gpu: line spaces are asked by the CPU alone; device auto chooses it",
+            "must be null on device gpu: there, only those of meshes' own boxes (structure two_level, depth 0, policy exact or \
+             approximate_occlusion) are asked; device auto chooses the CPU",
         );
         if self.structure == StructureKind::NTree {
             self.validate_cells(line_space, prefix, errors);
@@ -236,8 +237,12 @@ mod tests {
 
     #[test]
     fn what_cannot_be_combined_is_refused_at_its_place() {
-        let on_gpu = json!({ "device": "gpu", "acceleration": { "line_space": {} } });
-        assert_eq!(wrong(on_gpu), ["line_space"]);
+        let on_gpu = |acceleration: Value| wrong(json!({ "device": "gpu", "acceleration": acceleration }));
+        let binary = json!({ "payload": "binary" });
+        assert_eq!(on_gpu(json!({ "line_space": {} })), [""; 0]);
+        assert_eq!(on_gpu(json!({ "line_space": binary, "policy": "approximate_occlusion" })), [""; 0]);
+        assert_eq!(on_gpu(json!({ "line_space": binary, "policy": "adaptive" })), ["line_space"]);
+        assert_eq!(on_gpu(json!({ "structure": "ntree", "line_space": binary })), ["line_space"]);
         assert_eq!(wrong(json!({ "acceleration": { "structure": "octree", "line_space": {} } })), ["line_space"]);
         assert_eq!(wrong(json!({ "acceleration": { "structure": "bvh", "line_space": {} } })), ["policy"]);
         assert!(serde_json::from_value::<RenderSettings>(json!({ "acceleration": { "policy": "quick" } })).is_err());

@@ -89,7 +89,7 @@ impl RenderSettings {
         );
         let of_acceleration = format!("{prefix}/acceleration");
         self.acceleration.validate(&of_acceleration, &mut errors);
-        self.acceleration.validate_line_space(self.device, &of_acceleration, &mut errors);
+        self.acceleration.validate_line_space(&of_acceleration, &mut errors);
         if let Some(environment) = &self.environment {
             environment.validate(&format!("{prefix}/environment"), &mut errors);
         }

@@ -51,7 +51,7 @@ impl Executor {
         let choice = self.devices.choose(task.settings.device, task.settings.adapter.as_deref())?;
         let wanted = Wanted::of(&task.settings.acceleration);
         // A job that leaves the device to us gets one that can.
-        let needs_cpu = wanted.needs_cpu() && choice != Choice::Cpu;
+        let needs_cpu = wanted.needs_cpu() && task.settings.device == DeviceChoice::Auto && choice != Choice::Cpu;
         let choice = if needs_cpu { self.devices.choose(DeviceChoice::Cpu, None)? } else { choice };
         let scene = self.scene(task, metrics)?;
         let map = environment_map(task, metrics)?;
@@ -64,9 +64,9 @@ impl Executor {
         let (choice, on_device) = self.on_device(task, choice, &packed, &resolved, metrics)?;
         metrics.prepare_s += started.elapsed().as_secs_f64();
         self.structures.weigh();
-        count_structures(metrics, &packed.accel);
         metrics.device = on_device.info.name.clone();
         metrics.device_kind = on_device.info.kind.to_owned();
+        count_structures(metrics, &packed.accel);
         if !on_device.info.driver.is_empty() {
             metrics.versions.insert("driver".into(), on_device.info.driver.clone());
         }
@@ -319,7 +319,8 @@ pub(crate) fn count_structures(metrics: &mut Metrics, accel: &SceneAccel) {
     metrics.structure_nodes = (nodes + accel.top().nodes.len()) as u64;
     let spaces = accel.line_spaces();
     let meshes = spaces.iter().flatten().count() as u64;
-    let asked = accel.asked_line_spaces() as u64;
+    let on_gpu = metrics.device_kind == "gpu";
+    let asked = if on_gpu { accel.line_spaces_asked_on_gpu() } else { accel.asked_line_spaces() } as u64;
     metrics.line_space = (!spaces.is_empty()).then(|| LineSpaceUse { meshes, asked, ..LineSpaceUse::default() });
     metrics.line_space_bytes = spaces.iter().flatten().map(|space| space.bytes() as u64).sum();
     let nodes = accel.node_spaces();

@@ -33,7 +33,8 @@ impl Wanted {
         Self { structures: Structures::of(acceleration), line_spaces }
     }
 
-    /// The GPU walks two levels alone, without Line Spaces.
+    /// Whether a job that leaves the device to us is one for the CPU: the GPU walks two levels alone, and asks Line Spaces
+    /// only when told to.
     pub fn needs_cpu(&self) -> bool {
         matches!(self.structures, Structures::Flat(_)) || self.line_spaces.is_some()
     }

@@ -1,4 +1,5 @@
 //! The rays that the CPU benchmarks trace: the same in every run.
+#![allow(dead_code, reason = "each benchmark uses its part")]
 
 use glam::Vec3;
 use lightshaft_engine::accel::{HitFilter, SceneAccel};

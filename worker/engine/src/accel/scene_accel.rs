@@ -98,11 +98,11 @@ impl SceneAccel {
         self.check_two_level("line spaces")?;
         self.check_gates("line spaces", line_spaces.iter().map(|space| space.as_ref().map(|space| space.mesh())))?;
         let asked = line_spaces.clone();
-        Ok(Self { gates: Gates { line_spaces, asked, ..self.gates }, ..self })
+        Ok(Self { gates: Gates { line_spaces, asked, measured: false, ..self.gates }, ..self })
     }
 
     /// The same scene, in which only those Line Spaces are asked that are found, by a short measurement, to be faster than the
-    /// structures behind them.
+    /// structures behind them. The measurement is the CPU's: a GPU asks none of them.
     pub fn asking_where_it_pays(mut self) -> Self {
         if let Form::Flat { shafts: Some(shafts), asks, .. } = &mut self.form {
             *asks = self.structures[0].cells().is_some_and(|tree| pays_in_cells(shafts, tree, self.kernels));
@@ -116,7 +116,7 @@ impl SceneAccel {
         if asked.iter().all(Option::is_none) {
             asked.clear();
         }
-        Self { gates: Gates { asked, ..self.gates }, ..self }
+        Self { gates: Gates { asked, measured: true, ..self.gates }, ..self }
     }
 
     /// The same scene, with surface shafts that [`Self::occluded_from`] asks: one, or none, for each of
@@ -135,7 +135,7 @@ impl SceneAccel {
     /// traced exactly; so are nearest hits.
     pub fn approximating_occlusion(self) -> Self {
         let asked = self.gates.line_spaces.clone();
-        Self { gates: Gates { asked, approximate: true, ..self.gates }, ..self }
+        Self { gates: Gates { asked, measured: false, approximate: true, ..self.gates }, ..self }
     }
 
     /// The same flat scene, whose rays pass by the nodes of its N-tree in which their shaft is empty. All answers stay the same.
@@ -357,9 +357,19 @@ impl SceneAccel {
         &self.gates.line_spaces
     }
 
+    /// What is asked before the structure of a mesh is walked.
+    pub(crate) fn gates(&self) -> &Gates {
+        &self.gates
+    }
+
     /// How many Line Spaces are asked before the structure of their mesh is walked.
     pub fn asked_line_spaces(&self) -> usize {
         self.gates.asked.iter().flatten().count()
+    }
+
+    /// How many of them a GPU asks.
+    pub fn line_spaces_asked_on_gpu(&self) -> usize {
+        self.gates.asked_on_gpu().iter().flatten().count()
     }
 
     /// Whether one structure holds all instances.

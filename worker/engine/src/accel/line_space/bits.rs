@@ -212,7 +212,7 @@ impl Coverage {
         Ok(coverage)
     }
 
-    pub(super) fn words(&self) -> &[u32] {
+    pub(crate) fn words(&self) -> &[u32] {
         &self.words
     }
 

@@ -66,7 +66,7 @@ impl ClassTable {
         }
     }
 
-    pub(super) fn words(&self) -> &[u32] {
+    pub(crate) fn words(&self) -> &[u32] {
         &self.words
     }
 
@@ -132,6 +132,16 @@ impl ClassTree {
         }
         levels.push(self.last.clone());
         levels
+    }
+
+    /// The levels that have splits, the coarsest first, as they are looked up: split codes in front of a group, its blocks.
+    pub(crate) fn inner(&self) -> &[Vec<[u32; 1 + GROUP]>] {
+        &self.inner
+    }
+
+    /// Blocks of the finest level.
+    pub(crate) fn last(&self) -> &[u32] {
+        &self.last
     }
 
     /// N of the finest level.

@@ -12,12 +12,20 @@ pub(crate) struct Gates {
     pub line_spaces: Vec<Option<Arc<LineSpace>>>,
     /// Those that are asked.
     pub asked: Vec<Option<Arc<LineSpace>>>,
+    /// Whether those are the ones that were found to pay, on this CPU.
+    pub measured: bool,
     pub surfaces: Vec<Option<Arc<SurfaceShafts>>>,
     /// Whether occlusion rays take for true what is not proven.
     pub approximate: bool,
 }
 
 impl Gates {
+    /// Those that a GPU asks: what a measurement on the CPU says does not hold there, and the look-up has not been found to
+    /// pay on one.
+    pub(crate) fn asked_on_gpu(&self) -> &[Option<Arc<LineSpace>>] {
+        if self.measured { &[] } else { &self.asked }
+    }
+
     #[inline(always)]
     pub(crate) fn asked(&self, structure: u32) -> Option<&LineSpace> {
         self.asked.get(structure as usize)?.as_deref()

@@ -5,6 +5,7 @@
 
 mod adapter;
 mod context;
+mod gates;
 mod layers;
 mod pace;
 mod pool;

@@ -11,6 +11,7 @@ use super::pace::{Pace, PixelOrder};
 use super::scene::{GpuScene, Wave};
 use super::stages::{MIN_SLOTS, Run, Stages, WIDEST_SLOT_BYTES, most_bindings};
 use super::structure::{GpuStructure, Kept};
+use crate::accel::line_space::GateCounters;
 use crate::device::{DeviceError, Pass, PassStats, RayCounts, Region, Renderer, Watch};
 use crate::film::{AovBuffers, PassFilm};
 use crate::integrate::aov::FirstHit;
@@ -134,7 +135,7 @@ impl GpuRenderer {
         let slots = stages.slots.min(self.wave_pace.slots());
         let pixels = (slots / pass.samples.min(SAMPLES_TOGETHER)).clamp(1, left);
         let context = &*self.resident.context;
-        let (closest_before, shadow_before) = stages.ray_totals(context)?;
+        let before = stages.totals(context)?;
         let (mut done, mut longest_s) = (0, 0.0_f64);
         while done < pass.samples {
             if watch.cancelled() {
@@ -160,17 +161,16 @@ impl GpuRenderer {
             let finished = f64::from(first) + f64::from(pixels) * f64::from(done) / f64::from(pass.samples);
             watch.progress(finished / pass.region.pixels() as f64);
         }
-        let (closest, shadow) = stages.ray_totals(context)?;
+        let counted = stages.totals(context)?.since(&before);
         let primary = u64::from(pixels) * u64::from(pass.samples);
-        let occlusion = shadow - shadow_before;
         let is_ao = matches!(self.integrator, Integrator::Ao { .. });
         let rays = RayCounts {
             primary,
-            indirect: closest - closest_before - primary,
-            shadow: if is_ao { 0 } else { occlusion },
-            ao: if is_ao { occlusion } else { 0 },
+            indirect: counted.closest - primary,
+            shadow: if is_ao { 0 } else { counted.shadow },
+            ao: if is_ao { counted.shadow } else { 0 },
         };
-        Ok(RunSums { sums: stages.sums(context, pixels)?, rays, longest_s })
+        Ok(RunSums { sums: stages.sums(context, pixels)?, rays, gates: counted.gates(), longest_s })
     }
 }
 
@@ -187,6 +187,7 @@ fn in_rows<T: Copy + Zeroable>(region: Region, values: &[T]) -> Vec<T> {
 struct RunSums {
     sums: Vec<[f64; 3]>,
     rays: RayCounts,
+    gates: GateCounters,
     longest_s: f64,
 }
 
@@ -247,6 +248,7 @@ impl Renderer for GpuRenderer {
             let run = self.with_retries(|renderer| renderer.render_run(pass, first, watch))?;
             sums.extend(run.sums);
             stats.rays += run.rays;
+            stats.counters.gates += run.gates;
             stats.longest_submit_s = stats.longest_submit_s.max(run.longest_s);
         }
         let sums = in_rows(pass.region, &sums);

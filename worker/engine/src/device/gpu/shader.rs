@@ -71,10 +71,10 @@ macro_rules! embed {
 
 pub(super) const STAGES: &[(&str, &str)] = embed!(
     "": "accumulate", "first_hit", "generate", "locate_shafts", "prepare", "shade_ao", "shade_normal", "shade_path", "shade_whitted",
-    "trace_closest", "trace_shadow"
+    "tally", "trace_closest", "trace_shadow"
 );
 const SHARED: &[(&str, &str)] = embed!(
-    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "environment", "intersect", "lights", "math", "paths",
-    "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse", "traverse_baseline",
+    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "environment", "gate",
+    "gate_tell", "intersect", "lights", "math", "paths", "queue", "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse", "traverse_baseline",
     "vertex"
 );

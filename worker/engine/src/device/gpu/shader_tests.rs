@@ -37,6 +37,8 @@ fn module(
         flag("SPHERES", true),
         flag("FILTERED", true),
         flag("COUNTING", true),
+        flag("GATED", true),
+        flag("APPROXIMATE", true),
     ];
     let source = compose(stage, &Variant { constants, pools: &pools(chunks), replacements });
     let module = naga::front::wgsl::parse_str(&source.wgsl)

@@ -8,10 +8,12 @@
 //! stage to stage; PREPARE turns their lengths into dispatch arguments on the device, so the host never waits for one.
 
 use super::context::{Context, whole};
+use super::gates;
 use super::scene::{GpuScene, Wave};
 use super::shader::{Source, Variant, compose};
 use super::structure::GpuStructure;
 use super::tracer::{GpuHit, GpuPath, GpuRay, WORKGROUP};
+use crate::accel::line_space::GateCounters;
 use crate::device::DeviceError;
 use crate::settings::Integrator;
 
@@ -20,7 +22,9 @@ const SLOT_BYTES: u64 = 2 * RAY_BYTES + size_of::<GpuHit>() as u64 + size_of::<G
 const RAY_BYTES: u64 = size_of::<GpuRay>() as u64;
 /// Words of a queue beyond its slots (`paths.wgsl`): parts of a buffer that are bound for themselves start at multiples
 /// of 256 bytes, and so do both kinds of rays in theirs.
-const QUEUE_HEADER: u64 = 64;
+/// Behind its slots a queue has the counters of the gates.
+const QUEUE_HEADER: u64 = 384;
+const _: () = assert!(QUEUE_HEADER > (gates::COUNTERS * gates::COPIES) as u64);
 /// Fewest slots for which that holds.
 pub(super) const MIN_SLOTS: u32 = 256;
 /// What a slot takes in the buffer where it takes most: that of the rays, or of the paths.
@@ -36,6 +40,8 @@ pub(super) struct Stages {
     prepare: wgpu::ComputePipeline,
     trace_shadow: wgpu::ComputePipeline,
     accumulate: wgpu::ComputePipeline,
+    /// In scenes with gates.
+    tally: Option<wgpu::ComputePipeline>,
     buffers: Buffers,
     pub slots: u32,
 }
@@ -47,12 +53,15 @@ struct Buffers {
     shadow: wgpu::BindGroup,
     prepare_active: [wgpu::BindGroup; 2],
     prepare_shadow: wgpu::BindGroup,
+    tally_active: [wgpu::BindGroup; 2],
+    tally_shadow: wgpu::BindGroup,
     accumulate: wgpu::BindGroup,
     queues: wgpu::Buffer,
     active_arguments: wgpu::Buffer,
     shadow_arguments: wgpu::Buffer,
     active_total: wgpu::Buffer,
     shadow_total: wgpu::Buffer,
+    gate_totals: wgpu::Buffer,
     sums: wgpu::Buffer,
 }
 
@@ -78,6 +87,7 @@ impl Stages {
         let shadow_arguments = arguments("shadow arguments")?;
         let active_total = context.buffer("active total", 8, storage)?;
         let shadow_total = context.buffer("shadow total", 8, storage)?;
+        let gate_totals = context.buffer("gate totals", 8 * gates::COUNTERS as u64, storage)?;
 
         let part = |buffer, offset, size| wgpu::BufferBinding { buffer, offset, size: wgpu::BufferSize::new(size) };
         let ray_bytes = u64::from(slots) * RAY_BYTES;
@@ -94,6 +104,14 @@ impl Stages {
             context.bind_buffers("shadow", &[shadow_rays, whole(&paths), shadow_queue.clone()]);
         let bind_prepare =
             |queue, arguments, total| context.bind_buffers("prepare", &[queue, whole(arguments), whole(total)]);
+        let bind_tally = |queue| {
+            let entry =
+                |binding, buffer| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::Buffer(buffer) };
+            context.bind_storage("tally", &[entry(0, whole(&gate_totals)), entry(2, queue)], false)
+        };
+        let (tally_layout, tally0) = bind_tally(q0.clone());
+        let (_, tally1) = bind_tally(q1.clone());
+        let (_, tally_shadow) = bind_tally(shadow_queue.clone());
         let (prepare_layout, prepare0) = bind_prepare(q0, &active_arguments, &active_total);
         let (_, prepare1) = bind_prepare(q1, &active_arguments, &active_total);
         let (_, prepare_shadow) = bind_prepare(shadow_queue, &shadow_arguments, &shadow_total);
@@ -124,18 +142,24 @@ impl Stages {
                 &compose("accumulate", &shading),
                 &[None, Some(&scene.layout), Some(&accumulate_layout), Some(&scene.uniform_layout)],
             ),
+            tally: structure.gated.then(|| {
+                context.pipeline(&compose("tally", &Variant::default()), &[None, None, Some(&tally_layout), None])
+            }),
             buffers: Buffers {
                 paths: path_group,
                 closest: [closest0, closest1],
                 shadow,
                 prepare_active: [prepare0, prepare1],
                 prepare_shadow,
+                tally_active: [tally0, tally1],
+                tally_shadow,
                 accumulate,
                 queues,
                 active_arguments,
                 shadow_arguments,
                 active_total,
                 shadow_total,
+                gate_totals,
                 sums,
             },
             slots,
@@ -196,13 +220,20 @@ impl Stages {
         Ok(pairs.into_iter().map(sum).collect())
     }
 
-    /// Closest-hit and shadow rays traced since these stages were made.
-    pub(super) fn ray_totals(&self, context: &Context) -> Result<(u64, u64), DeviceError> {
-        let total = |buffer| -> Result<u64, DeviceError> {
-            let words: Vec<u32> = context.read(buffer, 2)?;
-            Ok(u64::from(words[0]) | u64::from(words[1]) << 32)
+    /// What was counted since these stages were made.
+    pub(super) fn totals(&self, context: &Context) -> Result<Totals, DeviceError> {
+        let mut totals = Totals::default();
+        let read = |buffer, into: &mut [u64]| -> Result<(), DeviceError> {
+            let pairs: Vec<[u32; 2]> = context.read(buffer, into.len())?;
+            into.iter_mut().zip(pairs).for_each(|(into, [low, high])| *into = u64::from(low) | u64::from(high) << 32);
+            Ok(())
         };
-        Ok((total(&self.buffers.active_total)?, total(&self.buffers.shadow_total)?))
+        read(&self.buffers.active_total, std::slice::from_mut(&mut totals.closest))?;
+        read(&self.buffers.shadow_total, std::slice::from_mut(&mut totals.shadow))?;
+        if self.tally.is_some() {
+            read(&self.buffers.gate_totals, &mut totals.gates)?;
+        }
+        Ok(totals)
     }
 
     /// Bytes of the buffers between the stages.
@@ -220,6 +251,13 @@ impl Stages {
         run.pass(encoder, &self.prepare, &buffers.prepare_active[active]).dispatch_workgroups(1, 1, 1);
         run.pass(encoder, &self.trace_closest, &buffers.closest[active])
             .dispatch_workgroups_indirect(&buffers.active_arguments, 0);
+        self.tally(run, encoder, &buffers.tally_active[active]);
+    }
+
+    fn tally(&self, run: &Run<'_>, encoder: &mut wgpu::CommandEncoder, group: &wgpu::BindGroup) {
+        if let Some(tally) = &self.tally {
+            run.pass(encoder, tally, group).dispatch_workgroups(1, 1, 1);
+        }
     }
 
     fn shade_and_connect(&self, run: &Run<'_>, encoder: &mut wgpu::CommandEncoder) {
@@ -228,6 +266,29 @@ impl Stages {
         run.pass(encoder, &self.prepare, &buffers.prepare_shadow).dispatch_workgroups(1, 1, 1);
         run.pass(encoder, &self.trace_shadow, &buffers.shadow)
             .dispatch_workgroups_indirect(&buffers.shadow_arguments, 0);
+        self.tally(run, encoder, &buffers.tally_shadow);
+    }
+}
+
+/// Rays traced, and what gates told them.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Totals {
+    pub closest: u64,
+    pub shadow: u64,
+    gates: [u64; gates::COUNTERS],
+}
+
+impl Totals {
+    pub(super) fn since(&self, before: &Self) -> Self {
+        Self {
+            closest: self.closest - before.closest,
+            shadow: self.shadow - before.shadow,
+            gates: std::array::from_fn(|i| self.gates[i] - before.gates[i]),
+        }
+    }
+
+    pub(super) fn gates(&self) -> GateCounters {
+        gates::counters(self.gates)
     }
 }
 

@@ -6,8 +6,10 @@ use glam::{Affine3A, Mat3};
 use rayon::prelude::*;
 
 use super::context::Context;
+use super::gates;
 use super::pool::{Pool, PoolLayout};
 use crate::accel::compressed::{CompressedBvh, CompressedNode};
+use crate::accel::line_space::LineSpace;
 use crate::accel::{Bvh2, MeshStructure, SceneAccel};
 use crate::device::DeviceError;
 use crate::pack::{INSTANCE_ALPHA, PackedInstance, PackedMesh, PackedScene};
@@ -110,17 +112,22 @@ impl PlacementView {
 pub struct HostStructure {
     nodes: Vec<u32>,
     /// Four elements a placement, in the top level's leaf order, then from a multiple of three on three elements a
-    /// primitive.
+    /// primitive, then the records of gates.
     prims: Vec<[u32; 4]>,
     /// Stack entries that the kernel needs.
     pub stack_size: u32,
     pub spheres: bool,
     /// Some placement's hits go through the alpha filter.
     pub filtered: bool,
+    /// Some mesh has a Line Space that is asked.
+    pub gated: bool,
+    /// Whether occlusion rays take for true what it does not prove.
+    pub approximate: bool,
 }
 
 impl HostStructure {
-    /// The compressed wide trees that `traverse.wgsl` walks. Each mesh's tree is made once and kept with its structure.
+    /// The compressed wide trees that `traverse.wgsl` walks, and the Line Spaces that `accel` asks. Each mesh's tree is made
+    /// once and kept with its structure.
     pub fn wide(accel: &SceneAccel, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
         let top = accel.compressed_top();
         let trees: Vec<&CompressedBvh> = meshes
@@ -146,7 +153,13 @@ impl HostStructure {
                 record.copy_from_slice(&mesh.record(primitive));
             });
         }
-        let roots: Vec<u32> = starts.iter().map(|&(first_node, _)| first_node).collect();
+        let gates = accel.gates().asked_on_gpu();
+        let roots: Vec<[u32; 2]> = starts
+            .iter()
+            .zip(0..)
+            .map(|(&(first_node, _), mesh)| [first_node, host.push_gate(gates.get(mesh).and_then(Option::as_deref))])
+            .collect();
+        host.approximate = accel.gates().approximate;
         host.set_placements(&top.leaves, placements, &roots);
         host.stack_size = top.depth + trees.iter().map(|tree| tree.depth).max().unwrap_or(0) + 2;
         host
@@ -158,7 +171,7 @@ impl HostStructure {
         host.push_binary(top, 0);
         let mut roots = Vec::with_capacity(meshes.len());
         for mesh in meshes {
-            roots.push((host.nodes.len() / 8) as u32);
+            roots.push([(host.nodes.len() / 8) as u32, 0]);
             host.push_binary(mesh.structure.bvh2(), (host.prims.len() / 3) as u32);
             host.prims.extend(mesh.structure.bvh2().primitives.iter().flat_map(|&primitive| mesh.record(primitive)));
         }
@@ -175,7 +188,18 @@ impl HostStructure {
             stack_size: 0,
             spheres: meshes.iter().any(|m| !m.spheres.is_empty()),
             filtered: false,
+            gated: false,
+            approximate: false,
         }
+    }
+
+    /// Where the record of a mesh's gate begins; 0 without one.
+    fn push_gate(&mut self, space: Option<&LineSpace>) -> u32 {
+        let Some(record) = space.and_then(gates::record) else { return 0 };
+        let start = self.prims.len() as u32;
+        self.prims.extend(record);
+        self.gated = true;
+        start
     }
 
     fn push_binary(&mut self, tree: &Bvh2, first_leaf: u32) {
@@ -187,13 +211,15 @@ impl HostStructure {
         }
     }
 
-    fn set_placements(&mut self, order: &[u32], placements: &[PlacementView], roots: &[u32]) {
+    /// `roots`: root node and gate of each mesh.
+    fn set_placements(&mut self, order: &[u32], placements: &[PlacementView], roots: &[[u32; 2]]) {
         for (record, &instance) in self.prims.chunks_exact_mut(4).zip(order) {
             let placement = &placements[instance as usize];
             let flags = if placement.filtered { PLACEMENT_FILTERED } else { 0 };
             self.filtered |= placement.filtered;
             record[..3].copy_from_slice(&placement.rows());
-            record[3] = [roots[placement.mesh as usize], instance, flags, 0];
+            let [root, gate] = roots[placement.mesh as usize];
+            record[3] = [root, instance, flags, gate];
         }
     }
 }
@@ -221,6 +247,9 @@ fn binary_depth(tree: &Bvh2) -> u32 {
 pub(super) struct Origin {
     meshes: Vec<Weak<MeshStructure>>,
     placements: Vec<PlacementView>,
+    /// Line Spaces that are asked.
+    gates: Vec<Option<Weak<LineSpace>>>,
+    approximate: bool,
 }
 
 impl Origin {
@@ -229,6 +258,8 @@ impl Origin {
         Self {
             meshes: scene.accel.structures().iter().filter_map(|s| s.bvh()).map(Arc::downgrade).collect(),
             placements: scene.instances.iter().map(PlacementView::packed).collect(),
+            gates: scene.accel.gates().asked_on_gpu().iter().map(|space| space.as_ref().map(Arc::downgrade)).collect(),
+            approximate: scene.accel.gates().approximate,
         }
     }
 
@@ -249,6 +280,13 @@ impl PartialEq for Origin {
         self.meshes.len() == other.meshes.len()
             && self.meshes.iter().zip(&other.meshes).all(|(a, b)| a.ptr_eq(b))
             && self.placements == other.placements
+            && self.approximate == other.approximate
+            && self.gates.len() == other.gates.len()
+            && self.gates.iter().zip(&other.gates).all(|pair| match pair {
+                (Some(a), Some(b)) => a.ptr_eq(b),
+                (None, None) => true,
+                _ => false,
+            })
     }
 }
 
@@ -287,11 +325,14 @@ pub(super) struct GpuStructure {
     pub spheres: bool,
     /// Some placement's hits go through the alpha filter.
     pub filtered: bool,
+    /// Some mesh has a Line Space that is asked.
+    pub gated: bool,
+    approximate: bool,
     pub bytes: u64,
 }
 
 impl GpuStructure {
-    /// Constants of `traverse.wgsl`.
+    /// Constants of `traverse.wgsl` and `gate.wgsl`.
     pub(super) fn constants(&self, any_hit: bool, counting: bool) -> Vec<(&'static str, String)> {
         // Rounded up, so that scenes share compiled pipelines.
         vec![
@@ -300,6 +341,8 @@ impl GpuStructure {
             ("SPHERES", self.spheres.to_string()),
             ("FILTERED", self.filtered.to_string()),
             ("COUNTING", counting.to_string()),
+            ("GATED", self.gated.to_string()),
+            ("APPROXIMATE", self.approximate.to_string()),
         ]
     }
 
@@ -315,6 +358,8 @@ impl GpuStructure {
             stack_size: host.stack_size,
             spheres: host.spheres,
             filtered: host.filtered,
+            gated: host.gated,
+            approximate: host.approximate,
             bytes: nodes.bytes + prims.bytes,
             pools: [nodes.layout, prims.layout],
         })

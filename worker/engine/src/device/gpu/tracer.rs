@@ -3,8 +3,10 @@
 use bytemuck::{Pod, Zeroable};
 
 use super::context::{Context, whole};
+use super::gates;
 use super::shader::{Variant, compose};
 use super::structure::{GpuStructure, HostStructure};
+use crate::accel::line_space::GateCounters;
 use crate::device::DeviceError;
 use crate::trace::{Hit, Ray};
 
@@ -76,6 +78,7 @@ pub struct Batch {
     pipeline: wgpu::ComputePipeline,
     group: wgpu::BindGroup,
     result: wgpu::Buffer,
+    queue: wgpu::Buffer,
     rays: u32,
 }
 
@@ -101,24 +104,25 @@ impl<'a> Tracer<'a> {
     pub fn occluded(&self, rays: &[Ray]) -> Result<Vec<bool>, DeviceError> {
         let batch = self.prepare(rays, true)?;
         self.run(&batch)?;
-        let paths: Vec<GpuPath> = self.context.read(&batch.result, rays.len())?;
-        Ok(paths.into_iter().map(|path| path.radiance[0] == 0.0).collect())
+        self.occlusion(&batch)
     }
 
     /// Uploads rays and compiles the kernel.
     pub fn prepare(&self, rays: &[Ray], any_hit: bool) -> Result<Batch, DeviceError> {
         let context = self.context;
         let gpu_rays: Vec<_> = rays.iter().map(GpuRay::new).collect();
-        let queue: Vec<u32> = std::iter::once(rays.len() as u32).chain(0..rays.len() as u32).collect();
+        let count = rays.len() as u32;
+        let mut queue: Vec<u32> = std::iter::once(count).chain(0..count).collect();
+        queue.resize(queue.len() + gates::COUNTERS * gates::COPIES, 0);
         let ray_buffer = context.upload("rays", bytemuck::cast_slice(&gpu_rays))?;
         let queue = context.upload("queue", bytemuck::cast_slice(&queue))?;
         let (stage, result, buffers) = if any_hit {
             let path = GpuPath { contribution: [1.0; 4], ..GpuPath::default() };
             let paths = context.upload("paths", bytemuck::cast_slice(&vec![path; rays.len()]))?;
-            ("trace_shadow", paths.clone(), vec![ray_buffer, paths, queue])
+            ("trace_shadow", paths.clone(), vec![ray_buffer, paths, queue.clone()])
         } else {
             let hits = context.upload("hits", bytemuck::cast_slice(&vec![GpuHit::default(); rays.len()]))?;
-            ("trace_closest", hits.clone(), vec![ray_buffer, hits, queue])
+            ("trace_closest", hits.clone(), vec![ray_buffer, hits, queue.clone()])
         };
         let (layout, group) = context.bind_buffers("rays", &buffers.iter().map(whole).collect::<Vec<_>>());
         let replacements: &[_] = match self.kernel {
@@ -135,7 +139,21 @@ impl<'a> Tracer<'a> {
         );
         let pipeline = context.pipeline(&source, &[Some(&self.structure.layout), None, Some(&layout)]);
         context.check()?;
-        Ok(Batch { pipeline, group, result, rays: rays.len() as u32 })
+        Ok(Batch { pipeline, group, result, queue, rays: count })
+    }
+
+    /// What gates told the rays of the batch, in all its runs.
+    pub fn gate_counters(&self, batch: &Batch) -> Result<GateCounters, DeviceError> {
+        let start = 4 * (u64::from(batch.rays) + 1);
+        let words: Vec<u32> = self.context.read_at(&batch.queue, start, gates::COUNTERS * gates::COPIES)?;
+        let sum = |counter| words.iter().skip(counter).step_by(gates::COUNTERS).map(|&word| u64::from(word)).sum();
+        Ok(gates::counters(std::array::from_fn(sum)))
+    }
+
+    /// Whether anything stands in each ray's way, for a batch that has been traced so.
+    pub fn occlusion(&self, batch: &Batch) -> Result<Vec<bool>, DeviceError> {
+        let paths: Vec<GpuPath> = self.context.read(&batch.result, batch.rays as usize)?;
+        Ok(paths.into_iter().map(|path| path.radiance[0] == 0.0).collect())
     }
 
     /// Traces the batch and waits for it.
