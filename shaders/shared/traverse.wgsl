@@ -7,10 +7,12 @@
 // mesh plus two, cannot overflow.
 //
 // Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), FILTERED
-// (some placements' hits go through the alpha filter), COUNTING, and those of `gate.wgsl`.
+// (some placements' hits go through the alpha filter), COUNTING, FLAT (primitives name their instance), and those of
+// `gate.wgsl`.
 
 //!include rays
 //!include intersect
+//!include candidates
 //!include gate
 //!pool nodes
 //!pool prims
@@ -20,13 +22,6 @@
 // multiple of three on those of the meshes, three elements a primitive; then the records of gates, which placements name
 // by their element, or by 0 when there is none.
 const PLACEMENT_FILTERED = 1u;
-const PRIMITIVE_SPHERE = 1u;
-
-struct Trace {
-    hit: Hit,
-    box_tests: u32,
-    primitive_tests: u32,
-}
 
 // What a node's children answered: their inner group and their leaf group.
 struct Groups {
@@ -133,12 +128,6 @@ fn octant_of(ray: TraceRay) -> u32 {
     return positive.x | positive.y | positive.z;
 }
 
-// Whether a hit beats the best so far; of several at one distance the lowest ids count.
-fn is_nearer(t: f32, t_min: f32, best: Hit, found: bool, instance: u32, primitive: u32) -> bool {
-    let wins_tie = found && (instance < best.instance || (instance == best.instance && primitive < best.primitive));
-    return t > t_min && (t < best.t || (t == best.t && wins_tie));
-}
-
 // The nearest hit in (t_min, t_max), or with ANY_HIT some hit. `t_min` is not negative.
 fn trace(world: Ray) -> Trace {
     var result: Trace;
@@ -243,11 +232,15 @@ fn trace(world: Ray) -> Trace {
                 if COUNTING {
                     result.primitive_tests += 1u;
                 }
+                if FLAT {
+                    instance = p2.w;
+                    filtered = FILTERED && (p1.w & PRIMITIVE_FILTERED) != 0u;
+                }
                 let a = bitcast<vec3<f32>>(p0.xyz);
                 let b = bitcast<vec3<f32>>(p1.xyz);
                 var tuv = intersect_triangle(ray, a, b, bitcast<vec3<f32>>(p2.xyz));
                 if SPHERES {
-                    if p1.w == PRIMITIVE_SPHERE {
+                    if (p1.w & PRIMITIVE_SPHERE) != 0u {
                         tuv = intersect_sphere(ray, a, b.x, world.t_min);
                     }
                 }
@@ -255,7 +248,7 @@ fn trace(world: Ray) -> Trace {
                     && accept(filtered, world, Hit(tuv.x, tuv.y, tuv.z, instance, primitive));
                 if SPHERES && FILTERED {
                     // A ray that the sphere's near wall lets through may still meet the far one.
-                    if !taken && filtered && p1.w == PRIMITIVE_SPHERE {
+                    if !taken && filtered && (p1.w & PRIMITIVE_SPHERE) != 0u {
                         tuv = intersect_sphere(ray, a, b.x, max(tuv.x, world.t_min));
                         taken = is_nearer(tuv.x, world.t_min, best, found, instance, primitive)
                             && accept(filtered, world, Hit(tuv.x, tuv.y, tuv.z, instance, primitive));

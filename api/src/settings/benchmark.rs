@@ -391,7 +391,7 @@ mod tests {
         assert_eq!(pointers(both), ["/settings/effects", "/settings/reference"]);
         let on_gpu = json!({ "device": "gpu", "effects": [{ "kind": "primary" }],
             "configurations": [{ "name": "a", "acceleration": { "structure": "ntree" } }] });
-        assert_eq!(pointers(on_gpu), ["/settings/configurations/0/acceleration/structure"]);
+        assert_eq!(pointers(on_gpu), [""; 0]);
     }
 
     #[test]

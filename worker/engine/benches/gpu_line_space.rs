@@ -94,7 +94,7 @@ fn measure(context: &Context, name: &str, scene: &Scene) {
     let placed: Vec<_> = placements.iter().map(|p| PlacementView::new(p.mesh, p.transform, false)).collect();
     let configurations = [("asked always", gated()), ("approximate occlusion", gated().approximating_occlusion())];
     let upload = |accel: &SceneAccel| {
-        Tracer::new(context, &HostStructure::wide(accel, &views, &placed), Kernel::Wide).expect("fits")
+        Tracer::new(context, &HostStructure::wide(accel, &views, &placed), Kernel::Product).expect("fits")
     };
     let base = upload(&plain.0);
     let tracers: Vec<_> = configurations.iter().map(|(name, accel)| (*name, upload(accel))).collect();

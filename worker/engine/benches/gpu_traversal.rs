@@ -39,7 +39,7 @@ fn main() {
     let base = HostStructure::baseline(scene.top(), &[view], &placements);
     let (upload_s, wide) = timed(|| HostStructure::wide(&scene, &[view], &placements));
     let base = Tracer::new(&context, &base, Kernel::Baseline).expect("fits");
-    let wide = Tracer::new(&context, &wide, Kernel::Wide).expect("fits");
+    let wide = Tracer::new(&context, &wide, Kernel::Product).expect("fits");
 
     let rounds = number("--rounds", 5);
     println!("{} ({}, {})", context.info.name, context.info.driver, context.info.backend);

@@ -33,10 +33,9 @@ impl Wanted {
         Self { structures: Structures::of(acceleration), line_spaces }
     }
 
-    /// Whether a job that leaves the device to us is one for the CPU: the GPU walks two levels alone, and asks Line Spaces
-    /// only when told to.
+    /// Whether a job that leaves the device to us is one for the CPU: the GPU asks Line Spaces only when told to, and not all.
     pub fn needs_cpu(&self) -> bool {
-        matches!(self.structures, Structures::Flat(_)) || self.line_spaces.is_some()
+        self.line_spaces.is_some()
     }
 }
 

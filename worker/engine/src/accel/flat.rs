@@ -123,28 +123,28 @@ impl Names {
         size_of_val(self.instances.as_slice())
     }
 
-    /// Whether any hit goes through a filter.
-    pub(super) fn any_filtered(&self) -> bool {
+    /// Whether hits on some instance go through the filter.
+    pub(crate) fn any_filtered(&self) -> bool {
         self.instances.iter().any(|range| range.filtered)
     }
 
-    /// Gives a hit on the flat mesh its instance and primitive; and whether it goes through the filter.
+    /// Instance and primitive of a primitive of the flat mesh, and whether its hits go through the filter.
     #[inline]
-    fn name(&self, hit: Hit) -> (Hit, bool) {
+    pub(crate) fn of_primitive(&self, number: u32) -> (u32, u32, bool) {
         let at = |first: fn(&InstanceRange) -> u32, number: u32| {
             // The last that begins at or before it: those before, with the same first, have none.
             let behind = self.instances.partition_point(|range| first(range) <= number);
             &self.instances[behind - 1]
         };
-        let (range, primitive) = if hit.primitive < self.triangle_count {
-            let range = at(|range| range.first_triangle, hit.primitive);
-            (range, hit.primitive - range.first_triangle)
+        let (range, primitive) = if number < self.triangle_count {
+            let range = at(|range| range.first_triangle, number);
+            (range, number - range.first_triangle)
         } else {
-            let sphere = hit.primitive - self.triangle_count;
+            let sphere = number - self.triangle_count;
             let range = at(|range| range.first_sphere, sphere);
             (range, range.triangles + sphere - range.first_sphere)
         };
-        (Hit { instance: range.instance, primitive, ..hit }, range.filtered)
+        (range.instance, primitive, range.filtered)
     }
 }
 
@@ -167,7 +167,8 @@ impl<S: Sink> Sink for NamedSink<'_, S> {
         if hit.t > self.sink.t_limit() {
             return false;
         }
-        let (hit, filtered) = self.names.name(hit);
+        let (instance, primitive, filtered) = self.names.of_primitive(hit.primitive);
+        let hit = Hit { instance, primitive, ..hit };
         (!filtered || self.filter.accept(self.ray, &hit)) && self.sink.offer(hit)
     }
 }

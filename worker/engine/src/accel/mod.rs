@@ -212,6 +212,11 @@ impl MeshStructure {
         Ok(())
     }
 
+    /// The primitives as leaves have them, with the number below which they are triangles.
+    pub(crate) fn packets(&self) -> (&[wide::Packet], u32) {
+        (&self.wide.packets, self.wide.triangle_count)
+    }
+
     fn wide(&self) -> &WideBvh {
         &self.wide
     }

@@ -372,6 +372,14 @@ impl SceneAccel {
         self.gates.asked_on_gpu().iter().flatten().count()
     }
 
+    /// Which primitive of the one structure belongs to which instance, in a flat scene.
+    pub(crate) fn names(&self) -> Option<&Names> {
+        match &self.form {
+            Form::Flat { names, .. } => Some(names),
+            Form::TwoLevel(_) => None,
+        }
+    }
+
     /// Whether one structure holds all instances.
     pub fn is_flat(&self) -> bool {
         matches!(self.form, Form::Flat { .. })

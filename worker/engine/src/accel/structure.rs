@@ -198,6 +198,15 @@ impl WeakStructure {
         }
     }
 
+    /// Whether both are the same structure, not just equal ones.
+    pub fn ptr_eq(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Bvh(a), Self::Bvh(b)) => a.ptr_eq(b),
+            (Self::Cells(a), Self::Cells(b)) => a.ptr_eq(b),
+            _ => false,
+        }
+    }
+
     pub fn is_alive(&self) -> bool {
         match self {
             Self::Bvh(bvh) => bvh.strong_count() > 0,

@@ -120,12 +120,12 @@ fn proven_answers_are_those_without() {
     let context = context();
     let setting = Setting::many();
     let plain = setting.on_gpu(&setting.plain());
-    let plain = Tracer::new(&context, &plain, Kernel::Wide).expect("fits");
+    let plain = Tracer::new(&context, &plain, Kernel::Product).expect("fits");
     let (closest, (blocked, asked)) = (plain.closest(&setting.rays).expect("traces"), occlusion(&plain, &setting.rays));
     assert_eq!(asked, GateCounters::default());
     for params in payloads() {
         let gated = setting.on_gpu(&setting.gated(&params));
-        let gated = Tracer::new(&context, &gated, Kernel::Wide).expect("fits");
+        let gated = Tracer::new(&context, &gated, Kernel::Product).expect("fits");
         assert!(gated.closest(&setting.rays).expect("traces") == closest, "{params:?}");
         let (answers, told) = occlusion(&gated, &setting.rays);
         assert!(answers == blocked, "{params:?}");
@@ -144,7 +144,7 @@ fn both_devices_are_told_the_same() {
             let gated = if approximate { gated.approximating_occlusion() } else { gated };
             let (on_cpu, told_on_cpu) = setting.occlusion_on_cpu(&gated);
             let host = setting.on_gpu(&gated);
-            let tracer = Tracer::new(&context, &host, Kernel::Wide).expect("fits");
+            let tracer = Tracer::new(&context, &host, Kernel::Product).expect("fits");
             let (on_gpu, told_on_gpu) = occlusion(&tracer, &setting.rays);
             let differing = on_cpu.iter().zip(&on_gpu).filter(|(a, b)| a != b).count();
             // The devices round rays into the mesh's space differently: a ray may fall into the next shaft.

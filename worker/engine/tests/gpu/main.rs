@@ -4,6 +4,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod failures;
+mod flat;
 mod gates;
 mod pictures;
 mod portability;

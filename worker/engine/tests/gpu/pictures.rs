@@ -7,6 +7,7 @@ use lightshaft_engine::device::cpu::CpuDevice;
 use lightshaft_engine::device::gpu::{Context, GpuDevice};
 use lightshaft_engine::device::{Device, DeviceError, Pass, PassStats, Region};
 use lightshaft_engine::film::{AovBuffers, AovLayer, PassFilm};
+use lightshaft_engine::pack::PackedScene;
 use lightshaft_engine::scene::Scene;
 use lightshaft_engine::settings::{Aov, Integrator, RenderSettings};
 
@@ -14,7 +15,15 @@ use crate::scenes::{everything, many_bytes, opaque, packed, settings, sky};
 use crate::{context, context_within};
 
 fn render(device: &mut dyn Device, scene: &Scene, settings: &RenderSettings) -> (Vec<[f32; 3]>, PassStats) {
-    let mut renderer = device.prepare(packed(scene, settings), settings).expect("prepares");
+    render_packed(device, packed(scene, settings), settings)
+}
+
+fn render_packed(
+    device: &mut dyn Device,
+    scene: Arc<PackedScene>,
+    settings: &RenderSettings,
+) -> (Vec<[f32; 3]>, PassStats) {
+    let mut renderer = device.prepare(scene, settings).expect("prepares");
     let region = Region::full(settings);
     let mut film = PassFilm::new(region);
     let pass = Pass { region, first_sample: 0, samples: settings.spp };
@@ -30,8 +39,18 @@ fn assert_same_picture(name: &str, scene: &Scene, settings: &RenderSettings) {
 
 #[track_caller]
 fn assert_same_picture_on(context: Arc<Context>, name: &str, scene: &Scene, settings: &RenderSettings) {
-    let (cpu, cpu_stats) = render(&mut CpuDevice::new(), scene, settings);
-    let (gpu, gpu_stats) = render(&mut GpuDevice::with_context(context), scene, settings);
+    assert_same_picture_of(context, name, packed(scene, settings), settings);
+}
+
+#[track_caller]
+pub(crate) fn assert_same_picture_of(
+    context: Arc<Context>,
+    name: &str,
+    scene: Arc<PackedScene>,
+    settings: &RenderSettings,
+) {
+    let (cpu, cpu_stats) = render_packed(&mut CpuDevice::new(), scene.clone(), settings);
+    let (gpu, gpu_stats) = render_packed(&mut GpuDevice::with_context(context), scene, settings);
     let mean = |picture: &[[f32; 3]]| {
         picture.iter().flatten().map(|&c| f64::from(c)).sum::<f64>() / (3 * picture.len()) as f64
     };

@@ -45,7 +45,7 @@ fn pair(meshes: &[Mesh], placements: &[Placement]) -> Pair {
 #[track_caller]
 fn assert_same(pair: &Pair, rays: &[Ray], per_mille: usize) {
     let context = context();
-    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Wide).expect("uploads");
+    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Product).expect("uploads");
     let found = tracer.closest(rays).expect("traces");
     let blocked = tracer.occluded(rays).expect("traces");
     let (mut hits, mut differing, mut differing_any) = (0, 0, 0);
@@ -60,7 +60,7 @@ fn assert_same(pair: &Pair, rays: &[Ray], per_mille: usize) {
     assert!(differing_any * 1000 <= per_mille * rays.len(), "{differing_any} of {} any-hits differ", rays.len());
 }
 
-fn alike(a: Option<Hit>, b: Option<Hit>) -> bool {
+pub(crate) fn alike(a: Option<Hit>, b: Option<Hit>) -> bool {
     match (a, b) {
         (None, None) => true,
         (Some(a), Some(b)) => {
@@ -116,7 +116,7 @@ fn closed_surface_has_no_holes() {
         })
         .collect();
     let context = context();
-    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Wide).expect("uploads");
+    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Product).expect("uploads");
     let missed = tracer.closest(&rays).expect("traces").iter().filter(|hit| hit.is_none()).count();
     assert_eq!(missed, 0, "rays left a closed surface");
     let open = tracer.occluded(&rays).expect("traces").iter().filter(|blocked| !**blocked).count();
@@ -140,7 +140,7 @@ fn small_from_far_away() {
         })
         .collect();
     let context = context();
-    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Wide).expect("uploads");
+    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Product).expect("uploads");
     let found = tracer.closest(&rays).expect("traces");
     let differing =
         rays.iter().zip(found).filter(|(ray, hit)| closest(&pair.cpu, ray).is_some() != hit.is_some()).count();
@@ -183,7 +183,7 @@ fn equal_distances_go_to_the_lowest_ids() {
     let stack = mesh(positions, (0..5).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(), vec![]);
     let pair = pair(&[stack], &[place(Affine3A::IDENTITY); 3]);
     let context = context();
-    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Wide).expect("uploads");
+    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Product).expect("uploads");
     let rays = [Ray::new(Vec3::new(0.2, 0.2, 2.0), Vec3::NEG_Z), Ray::new(Vec3::new(0.6, 0.3, -2.0), Vec3::Z)];
     for hit in tracer.closest(&rays).expect("traces") {
         let hit = hit.expect("hits");
@@ -198,7 +198,7 @@ fn interval_ends_are_open() {
     let ray = |t_min: f32, t_max: f32| Ray { origin: Vec3::new(0.25, 0.25, 1.0), t_min, direction: Vec3::NEG_Z, t_max };
     let rays = [ray(0.0, 1.0), ray(0.0, 1.000_001), ray(1.0, 2.0), ray(0.999_999, 2.0)];
     let context = context();
-    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Wide).expect("uploads");
+    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Product).expect("uploads");
     assert_eq!(tracer.occluded(&rays).expect("traces"), [false, true, false, true]);
     let hit: Vec<bool> = tracer.closest(&rays).expect("traces").iter().map(Option::is_some).collect();
     assert_eq!(hit, [false, true, false, true]);
@@ -208,7 +208,7 @@ fn interval_ends_are_open() {
 fn nothing_is_hit_in_an_empty_scene() {
     let pair = pair(&[mesh(vec![], vec![], vec![])], &[place(Affine3A::IDENTITY)]);
     let context = context();
-    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Wide).expect("uploads");
+    let tracer = Tracer::new(&context, &pair.gpu, Kernel::Product).expect("uploads");
     let rays = [Ray::new(Vec3::ZERO, Vec3::X)];
     assert_eq!(tracer.closest(&rays).expect("traces"), [None]);
     assert_eq!(tracer.occluded(&rays).expect("traces"), [false]);

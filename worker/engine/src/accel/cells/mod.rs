@@ -94,6 +94,15 @@ pub struct CellTree {
     inverse_cells: [[f32; 3]; MAX_LEVELS],
 }
 
+/// See the fields of [`CellTree`].
+#[derive(Clone, Copy)]
+pub(crate) struct Arrays<'a> {
+    pub words: &'a [[u32; 2]],
+    pub children: &'a [u32],
+    pub lists: &'a [u32],
+    pub packets: &'a [Packet],
+}
+
 /// One node of a tree, as [`CellTree::for_each_node`] shows it.
 #[derive(Clone, Copy, Debug)]
 pub struct CellNode<'a> {
@@ -328,6 +337,12 @@ impl CellTree {
     #[inline(always)]
     pub(crate) fn inverse_cell(&self, level: usize, axis: usize) -> f32 {
         self.inverse_cells[level][axis]
+    }
+
+    /// The arrays themselves, for devices that walk them.
+    pub(crate) fn arrays(&self) -> Arrays<'_> {
+        let Self { words, children, lists, packets, .. } = self;
+        Arrays { words, children, lists, packets }
     }
 
     pub(crate) fn is_triangles(&self, packet: &Packet) -> bool {

@@ -5,6 +5,7 @@
 
 mod adapter;
 mod context;
+mod flat;
 mod gates;
 mod layers;
 mod pace;
@@ -70,9 +71,9 @@ impl Device for GpuDevice {
         scene: Arc<PackedScene>,
         settings: &RenderSettings,
     ) -> Result<Box<dyn Renderer>, DeviceError> {
-        if scene.accel.is_flat() || scene.accel.structures().iter().any(|structure| structure.bvh2().is_none()) {
+        if !scene.accel.is_flat() && scene.accel.structures().iter().any(|structure| structure.bvh().is_none()) {
             return Err(DeviceError::Other(
-                "the GPU walks acceleration structure two_level alone so far: ask for that, or for device cpu".into(),
+                "the GPU walks two levels of BVHs, or one structure over everything".into(),
             ));
         }
         // A job before this one may have lost the device.

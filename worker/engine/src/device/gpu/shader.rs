@@ -74,7 +74,7 @@ pub(super) const STAGES: &[(&str, &str)] = embed!(
     "tally", "trace_closest", "trace_shadow"
 );
 const SHARED: &[(&str, &str)] = embed!(
-    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "environment", "gate",
-    "gate_tell", "intersect", "lights", "math", "paths", "queue", "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse", "traverse_baseline",
-    "vertex"
+    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "candidates", "environment", "gate", "gate_tell", "intersect", "lights",
+    "math", "paths", "queue", "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse",
+    "traverse_baseline", "traverse_cells", "vertex"
 );

@@ -364,12 +364,10 @@ pub(super) fn compose_trace(
     shading: bool,
 ) -> Source {
     let pools: Vec<_> = structure.pools.iter().chain(&scene.pools).cloned().collect();
+    let filter = structure.filtered.then_some(("accept_all", "accept_alpha"));
+    let replacements: Vec<_> = structure.replacements().chain(filter).collect();
     compose(
         stage,
-        &Variant {
-            constants: structure.constants(any_hit, shading),
-            pools: &pools,
-            replacements: if structure.filtered { &[("accept_all", "accept_alpha")] } else { &[] },
-        },
+        &Variant { constants: structure.constants(any_hit, shading), pools: &pools, replacements: &replacements },
     )
 }

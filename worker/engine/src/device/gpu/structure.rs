@@ -6,11 +6,12 @@ use glam::{Affine3A, Mat3};
 use rayon::prelude::*;
 
 use super::context::Context;
+use super::flat;
 use super::gates;
 use super::pool::{Pool, PoolLayout};
 use crate::accel::compressed::{CompressedBvh, CompressedNode};
 use crate::accel::line_space::LineSpace;
-use crate::accel::{Bvh2, MeshStructure, SceneAccel};
+use crate::accel::{Bvh2, MeshStructure, SceneAccel, Structure, WeakStructure};
 use crate::device::DeviceError;
 use crate::pack::{INSTANCE_ALPHA, PackedInstance, PackedMesh, PackedScene};
 use crate::scene::Aabb;
@@ -108,12 +109,23 @@ impl PlacementView {
     }
 }
 
+/// Which kernel walks a structure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Walk {
+    /// `traverse.wgsl`: a top level over meshes.
+    TwoLevel,
+    /// `traverse.wgsl`, with primitives that name their instance.
+    Flat,
+    /// `traverse_cells.wgsl`.
+    Cells,
+}
+
 /// Host arrays, ready for upload.
 pub struct HostStructure {
-    nodes: Vec<u32>,
+    pub(super) nodes: Vec<u32>,
     /// Four elements a placement, in the top level's leaf order, then from a multiple of three on three elements a
     /// primitive, then the records of gates.
-    prims: Vec<[u32; 4]>,
+    pub(super) prims: Vec<[u32; 4]>,
     /// Stack entries that the kernel needs.
     pub stack_size: u32,
     pub spheres: bool,
@@ -123,9 +135,15 @@ pub struct HostStructure {
     pub gated: bool,
     /// Whether occlusion rays take for true what it does not prove.
     pub approximate: bool,
+    pub(super) walk: Walk,
 }
 
 impl HostStructure {
+    /// What the device walks of a flat scene; none of a scene of two levels.
+    pub fn flat(accel: &SceneAccel) -> Option<Self> {
+        Some(flat::of_flat(&accel.structures()[0], accel.names()?))
+    }
+
     /// The compressed wide trees that `traverse.wgsl` walks, and the Line Spaces that `accel` asks. Each mesh's tree is made
     /// once and kept with its structure.
     pub fn wide(accel: &SceneAccel, meshes: &[MeshView<'_>], placements: &[PlacementView]) -> Self {
@@ -181,15 +199,21 @@ impl HostStructure {
         host
     }
 
+    /// Where the primitives' records begin behind those of so many placements.
+    pub(super) fn first_record(placements: usize) -> usize {
+        (4 * placements).next_multiple_of(3)
+    }
+
     fn empty(meshes: &[MeshView<'_>], placements: usize) -> Self {
         Self {
             nodes: Vec::new(),
-            prims: vec![[0; 4]; (4 * placements).next_multiple_of(3)],
+            prims: vec![[0; 4]; Self::first_record(placements)],
             stack_size: 0,
             spheres: meshes.iter().any(|m| !m.spheres.is_empty()),
             filtered: false,
             gated: false,
             approximate: false,
+            walk: Walk::TwoLevel,
         }
     }
 
@@ -245,7 +269,7 @@ fn binary_depth(tree: &Bvh2) -> u32 {
 
 /// What a structure on the device is made from: equal origins make equal structures.
 pub(super) struct Origin {
-    meshes: Vec<Weak<MeshStructure>>,
+    structures: Vec<WeakStructure>,
     placements: Vec<PlacementView>,
     /// Line Spaces that are asked.
     gates: Vec<Option<Weak<LineSpace>>>,
@@ -253,10 +277,9 @@ pub(super) struct Origin {
 }
 
 impl Origin {
-    /// Of a packed scene, which must be of two levels of BVHs.
     pub(super) fn of(scene: &PackedScene) -> Self {
         Self {
-            meshes: scene.accel.structures().iter().filter_map(|s| s.bvh()).map(Arc::downgrade).collect(),
+            structures: scene.accel.structures().iter().map(Structure::downgrade).collect(),
             placements: scene.instances.iter().map(PlacementView::packed).collect(),
             gates: scene.accel.gates().asked_on_gpu().iter().map(|space| space.as_ref().map(Arc::downgrade)).collect(),
             approximate: scene.accel.gates().approximate,
@@ -265,6 +288,9 @@ impl Origin {
 
     /// The structure of the scene that this is the origin of.
     fn layout(&self, scene: &PackedScene) -> HostStructure {
+        if let Some(flat) = HostStructure::flat(&scene.accel) {
+            return flat;
+        }
         let meshes: Vec<_> = scene
             .meshes
             .iter()
@@ -277,8 +303,8 @@ impl Origin {
 
 impl PartialEq for Origin {
     fn eq(&self, other: &Self) -> bool {
-        self.meshes.len() == other.meshes.len()
-            && self.meshes.iter().zip(&other.meshes).all(|(a, b)| a.ptr_eq(b))
+        self.structures.len() == other.structures.len()
+            && self.structures.iter().zip(&other.structures).all(|(a, b)| a.ptr_eq(b))
             && self.placements == other.placements
             && self.approximate == other.approximate
             && self.gates.len() == other.gates.len()
@@ -295,7 +321,7 @@ impl PartialEq for Origin {
 pub(super) struct Kept(Option<(Origin, Arc<GpuStructure>)>);
 
 impl Kept {
-    /// The structure of a scene, which must be of two levels of BVHs, on the device. What was kept before goes first
+    /// The structure of a scene on the device: two levels of BVHs, or one structure over everything. What was kept before goes first
     /// unless it is the same or somebody traces with it.
     pub(super) fn of_scene(
         &mut self,
@@ -328,6 +354,7 @@ pub(super) struct GpuStructure {
     /// Some mesh has a Line Space that is asked.
     pub gated: bool,
     approximate: bool,
+    walk: Walk,
     pub bytes: u64,
 }
 
@@ -343,7 +370,13 @@ impl GpuStructure {
             ("COUNTING", counting.to_string()),
             ("GATED", self.gated.to_string()),
             ("APPROXIMATE", self.approximate.to_string()),
+            ("FLAT", (self.walk == Walk::Flat).to_string()),
         ]
+    }
+
+    /// Shared files that stand in for others where this structure is traced.
+    pub(super) fn replacements(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        (self.walk == Walk::Cells).then_some(("traverse", "traverse_cells")).into_iter()
     }
 
     pub(super) fn upload(context: &Context, host: &HostStructure) -> Result<Self, DeviceError> {
@@ -360,6 +393,7 @@ impl GpuStructure {
             filtered: host.filtered,
             gated: host.gated,
             approximate: host.approximate,
+            walk: host.walk,
             bytes: nodes.bytes + prims.bytes,
             pools: [nodes.layout, prims.layout],
         })

@@ -16,8 +16,8 @@ pub(super) const WORKGROUP: u32 = 64;
 /// Which kernel walks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
-    /// The product's.
-    Wide,
+    /// The product's for the structure.
+    Product,
     /// The benchmark's base: a plain binary tree with a private stack.
     Baseline,
 }
@@ -125,16 +125,16 @@ impl<'a> Tracer<'a> {
             ("trace_closest", hits.clone(), vec![ray_buffer, hits, queue.clone()])
         };
         let (layout, group) = context.bind_buffers("rays", &buffers.iter().map(whole).collect::<Vec<_>>());
-        let replacements: &[_] = match self.kernel {
-            Kernel::Wide => &[],
-            Kernel::Baseline => &[("traverse", "traverse_baseline")],
+        let replacements: Vec<_> = match self.kernel {
+            Kernel::Product => self.structure.replacements().collect(),
+            Kernel::Baseline => vec![("traverse", "traverse_baseline")],
         };
         let source = compose(
             stage,
             &Variant {
                 constants: self.structure.constants(any_hit, false),
                 pools: &self.structure.pools,
-                replacements,
+                replacements: &replacements,
             },
         );
         let pipeline = context.pipeline(&source, &[Some(&self.structure.layout), None, Some(&layout)]);
