@@ -13,8 +13,7 @@ use crate::common::soup;
 use crate::context;
 use crate::scenes::{packed, settings};
 
-/// Ten times what a submit should take: lavapipe shares the machine's cores with whatever else runs. Waves that take the
-/// pixels row by row take ten times as long as this where the soup begins.
+/// Ten times what a submit should take: lavapipe shares the machine's cores with whatever else runs.
 const LONGEST_S: f64 = 0.25;
 
 #[test]
