@@ -5,6 +5,7 @@
 //! from the pointers and puts the API's complaints beside the field that they point at.
 
 mod acceleration;
+mod policy;
 
 use lightshaft_api::scene::Scene;
 use lightshaft_api::settings::{

@@ -264,6 +264,9 @@ fn the_form_offers_every_value_of_every_choice() {
         ("/settings/acceleration/line_space/builder", "LineSpaceBuilder"),
         ("/settings/acceleration/line_space/on_over_budget", "OnOverBudget"),
         ("/settings/acceleration/line_space/ask", "Ask"),
+        ("/settings/acceleration/origin_node", "OriginNode"),
+        ("/settings/acceleration/adaptive/origin_object", "OriginObject"),
+        ("/settings/acceleration/representative/origin_node", "RepresentativeOrigin"),
         ("/settings/lights/0/kind", "LightKind"),
     ];
     for (pointer, schema) in choices {

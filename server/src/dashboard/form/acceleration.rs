@@ -2,7 +2,7 @@
 
 use lightshaft_api::settings::{Acceleration, LineSpace, StructureKind};
 
-use super::{Control, Field, options, whole};
+use super::{Control, Field, options, policy, whole};
 
 const STRUCTURE: &str = "/settings/acceleration/structure";
 const STRUCTURES: [(&str, &str); 5] = [
@@ -14,6 +14,7 @@ const STRUCTURES: [(&str, &str); 5] = [
 ];
 const BVHS: &str = "\"two_level\" \"bvh\"";
 const TREES: &str = "\"octree\" \"ntree\"";
+const WITH_LINE_SPACES: &str = "\"two_level\" \"bvh\" \"ntree\"";
 const CELLS: &str = "\"grid\" \"octree\" \"ntree\"";
 
 pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
@@ -80,7 +81,7 @@ const PAYLOADS: [(&str, &str); 4] = [
 const ANY_PAYLOAD: &str = "\"tri_state\" \"binary\" \"candidate\" \"coverage\"";
 
 fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
-    let given = a.line_space.as_ref().filter(|_| a.structure == StructureKind::TwoLevel);
+    let given = a.line_space.as_ref().filter(|_| !matches!(a.structure, StructureKind::Grid | StructureKind::Octree));
     let start = LineSpace::default();
     let l = given.unwrap_or(&start);
     let chosen: Vec<_> = given.iter().map(|line_space| line_space.payload).collect();
@@ -114,15 +115,10 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
     let budget_choices = ["refuse", "shrink", "skip"];
     let over_budget = options(&[l.on_over_budget], &budget_choices, &[("shrink", "Shrink it"), ("skip", "Do without")]);
     let asks = options(&[l.ask], &["where_it_pays", "always"], &[("where_it_pays", "Where it is found to pay")]);
-    let policy_names = [
-        ("exact", "What is proven: the same picture"),
-        ("approximate_occlusion", "Approximate shadows and ambient occlusion"),
-    ];
-    let policies = options(&[&a.policy], &policy_names.map(|(name, _)| name), &policy_names);
     let field = |name: &str, label, unit, help, control| {
         Field::new(&format!("/settings/acceleration/line_space/{name}"), label, unit, help, control)
     };
-    vec![
+    let payload = vec![
         field(
             "payload",
             "Line Space",
@@ -130,21 +126,19 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
             "What is known of the lines through each mesh.",
             Control::Choice { options: payloads },
         )
-        .when(STRUCTURE, "\"two_level\"", structure),
-        Field::new(
-            "/settings/acceleration/policy",
-            "Used for",
-            "",
-            "Approximate: where a shaft holds something, it blocks.",
-            Control::Choice { options: policies },
-        )
-        .when(PAYLOAD, ANY_PAYLOAD, &current),
+        .when(STRUCTURE, WITH_LINE_SPACES, structure),
+    ];
+    let used_for = policy::fields(a).into_iter().map(|field| match field.pointer.as_str() {
+        policy::POLICY => field.when(PAYLOAD, ANY_PAYLOAD, &current),
+        _ => field,
+    });
+    let details = vec![
         field("n", "Patches", "per edge", "Empty: as the payload likes it.", perhaps(l.n, "1", "32")).when(
             PAYLOAD,
             ANY_PAYLOAD,
             &current,
         ),
-        field("depth", "Depth", "levels", "0: the mesh's own box.", perhaps(l.depth, "0", "0")).when(
+        field("depth", "Depth", "levels", "0 or empty: the mesh's own box.", perhaps(l.depth, "0", "12")).when(
             PAYLOAD,
             ANY_PAYLOAD,
             &current,
@@ -183,7 +177,8 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
             ANY_PAYLOAD,
             &current,
         ),
-    ]
+    ];
+    payload.into_iter().chain(used_for).chain(details).collect()
 }
 
 /// A whole number that may be left out.

@@ -39,6 +39,7 @@ fn module(
         flag("COUNTING", true),
         flag("GATED", true),
         flag("APPROXIMATE", true),
+        flag("FLAT", true),
     ];
     let source = compose(stage, &Variant { constants, pools: &pools(chunks), replacements });
     let module = naga::front::wgsl::parse_str(&source.wgsl)
@@ -57,6 +58,7 @@ fn every_stage_is_valid_in_every_variant() {
                 module(stage, chunks, any_hit, &[]);
                 module(stage, chunks, any_hit, &[("accept_all", "accept_alpha")]);
                 module(stage, chunks, any_hit, &[("traverse", "traverse_baseline")]);
+                module(stage, chunks, any_hit, &[("traverse", "traverse_cells")]);
             }
         }
     }

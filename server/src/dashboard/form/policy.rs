@@ -1,0 +1,98 @@
+//! The fields that say what Line Spaces are used for.
+
+use lightshaft_api::settings::{Acceleration, Policy};
+
+use super::{ChoiceOption, Control, Field, number, options};
+
+pub(super) const POLICY: &str = "/settings/acceleration/policy";
+const POLICIES: [(&str, &str); 4] = [
+    ("exact", "What is proven: the same picture"),
+    ("approximate_occlusion", "Approximate shadows and ambient occlusion"),
+    ("adaptive", "The same, of objects that are far for their size"),
+    ("representative", "Approximate indirect light"),
+];
+const ADAPTIVE: &str = "\"adaptive\"";
+const REPRESENTATIVE: &str = "\"representative\"";
+
+/// The choice of a policy, then the parameters of each. A list by bounce cannot be put together here, but is kept.
+pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
+    let mut policies = options(&[&a.policy], &POLICIES.map(|(name, _)| name), &POLICIES);
+    if let Policy::PerBounce(_) = a.policy {
+        let value = serde_json::to_string(&a.policy).unwrap_or_default();
+        policies.push(ChoiceOption { value, label: "Bounce by bounce, as given".to_owned(), selected: true });
+    }
+    let current = policies.iter().find(|option| option.selected).map(|option| option.value.clone());
+    let current = current.unwrap_or_default();
+    let field = |name: &str, label, unit, help, control| {
+        Field::new(&format!("/settings/acceleration/{name}"), label, unit, help, control)
+    };
+    let choice = |current: String, all: &[(&str, &str)]| Control::Choice {
+        options: options(&[current], &all.iter().map(|(name, _)| *name).collect::<Vec<_>>(), all),
+    };
+    let switch = |on| Control::Switch { on };
+    let (adaptive, candidates) = (&a.adaptive, &a.representative);
+    let origin_node = choice(super::name_of(&a.origin_node), &[("exact", "Test its geometry"), ("skip", "Skip it")]);
+    let origin_object = choice(
+        super::name_of(&adaptive.origin_object),
+        &[("exact", "Test its geometry"), ("line_space", "Ask its boxes")],
+    );
+    let origin_candidate = choice(
+        super::name_of(&candidates.origin_node),
+        &[("exact", "Test its geometry"), ("approximate", "Ask its candidates: leaks light")],
+    );
+    vec![
+        field(
+            "policy",
+            "Used for",
+            "",
+            "Approximate: where a shaft holds something, it blocks.",
+            Control::Choice { options: policies },
+        ),
+        field("origin_node", "Box where a ray starts", "", "", origin_node).when(
+            POLICY,
+            "\"approximate_occlusion\"",
+            &current,
+        ),
+        field(
+            "adaptive/delta",
+            "Delta",
+            "",
+            "0: exact. More: nearer objects are approximated.",
+            number(adaptive.delta, "0", "1000000"),
+        )
+        .when(POLICY, ADAPTIVE, &current),
+        field("adaptive/interpolate", "Mix two depths", "", "", switch(adaptive.interpolate))
+            .when(POLICY, ADAPTIVE, &current),
+        field(
+            "adaptive/disc_sampling",
+            "Move ambient-occlusion rays",
+            "",
+            "Less banding.",
+            switch(adaptive.disc_sampling),
+        )
+        .when(POLICY, ADAPTIVE, &current),
+        field("adaptive/origin_object", "Object where a ray starts", "", "", origin_object)
+            .when(POLICY, ADAPTIVE, &current),
+        field(
+            "representative/angle_threshold_deg",
+            "Greatest angle of normals",
+            "degrees",
+            "180: any.",
+            number(candidates.angle_threshold_deg, "0", "180"),
+        )
+        .when(POLICY, REPRESENTATIVE, &current),
+        field(
+            "representative/range_slack",
+            "Boxes grow by",
+            "of a diagonal",
+            "",
+            number(candidates.range_slack, "0", "1"),
+        )
+        .when(POLICY, REPRESENTATIVE, &current),
+        field("representative/origin_node", "Box where a ray starts", "", "", origin_candidate).when(
+            POLICY,
+            REPRESENTATIVE,
+            &current,
+        ),
+    ]
+}
