@@ -308,7 +308,8 @@ mod tests {
         assert_eq!(chosen.line_space.unwrap().payload, LineSpacePayload::Binary);
         assert_eq!(settings(r#"--line-space {"n":8}"#).acceleration.line_space.unwrap().n, Some(8));
         assert!(error("--line-space soup").contains("soup"));
-        assert!(error("--line-space tri_state --device gpu").contains("must be null on device gpu"));
+        let representative = r#"--line-space candidate --acceleration {"policy":"representative"} --device gpu"#;
+        assert!(error(representative).contains("must be null on device gpu"));
     }
 
     #[test]

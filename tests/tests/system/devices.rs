@@ -35,6 +35,12 @@ async fn a_job_for_a_device_that_no_worker_has_fails_and_says_why() {
     let service = Service::start_with(&["--device", "cpu", "--device-grace-s", "3"]);
     let scene = service.generated(&["cornell-box"]).await;
     service.render(&scene, json!({"width": 16, "height": 16, "spp": 1})).await;
+    // The scene's thumbnail is done too: while anything is, the service is active, however long another job waits.
+    service
+        .until("the service to be idle", async || {
+            (service.get("/v1/status").await.json()["state"] == "idle").then_some(())
+        })
+        .await;
     let id = service.submit(&scene, json!({"width": 16, "height": 16, "spp": 1, "device": "gpu"})).await;
     service
         .until("the status to say waiting", async || {

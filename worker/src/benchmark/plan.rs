@@ -200,7 +200,7 @@ mod tests {
     fn every_effect_meets_every_configuration_in_every_scene() {
         let settings: BenchmarkSettings = serde_json::from_value(json!({
             "effects": [{ "kind": "primary" }, { "kind": "ao" }],
-            "configurations": [{ "name": "a" }, { "name": "b", "acceleration": { "structure": "grid" } }],
+            "configurations": [{ "name": "a" }, { "name": "b", "acceleration": { "line_space": {} } }],
         }))
         .unwrap();
         let plan = Plan::of(&settings, vec![scene("x"), scene("y")]).unwrap();
