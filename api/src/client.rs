@@ -5,6 +5,7 @@
 
 mod blobs;
 mod events;
+mod farm;
 mod jobs;
 mod scenes;
 mod upload;
@@ -17,6 +18,7 @@ use reqwest::{ClientBuilder, Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+pub use farm::{DecisionFilter, HistoryQuery, RunFilter};
 pub use jobs::JobFilter;
 pub use scenes::{ScenePart, Upload};
 

@@ -7,6 +7,7 @@ pub mod benchmark;
 pub mod blob;
 pub mod client;
 pub mod event;
+pub mod farm;
 pub mod job;
 pub mod lease;
 pub mod mesh;
