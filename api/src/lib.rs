@@ -6,6 +6,7 @@
 pub mod benchmark;
 pub mod blob;
 pub mod client;
+pub mod compare;
 pub mod event;
 pub mod farm;
 pub mod job;

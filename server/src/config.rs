@@ -43,6 +43,14 @@ pub struct Limits {
     pub blob_bytes: u64,
     /// Scenes imported at the same time; further uploads wait their turn.
     pub concurrent_imports: usize,
+    /// Bytes of a picture that is read or uploaded to be compared.
+    pub picture_bytes: u64,
+    /// Pixels of a picture whose layers are read.
+    pub picture_pixels: u64,
+    /// Pixels of pictures that are compared, which takes some 300 bytes each.
+    pub compare_pixels: u64,
+    /// Pictures decoded or compared at the same time; further requests wait their turn.
+    pub concurrent_pictures: usize,
     /// What one scene may hold: triangles, texture pixels, instances and so on.
     pub import: lightshaft_engine::scene::Limits,
     /// Longest pause between two pieces of an upload.
@@ -75,6 +83,10 @@ impl Default for Limits {
             scene_files: 4096,
             blob_bytes: 4 << 30,
             concurrent_imports: 2,
+            picture_bytes: 1 << 30,
+            picture_pixels: 1 << 26,
+            compare_pixels: 1 << 24,
+            concurrent_pictures: 2,
             import: lightshaft_engine::scene::Limits::default(),
             upload_stall: Duration::from_secs(30),
         }

@@ -13,6 +13,7 @@ pub mod config;
 pub mod dashboard;
 pub mod error;
 mod lock;
+pub mod picture;
 pub mod problems;
 pub mod queue;
 pub mod reconcile;

@@ -1,6 +1,7 @@
 //! What the service does, one function per operation; routes and the dashboard both call these.
 
 mod blobs;
+mod compare;
 mod demand;
 mod events;
 mod garbage;
@@ -9,6 +10,8 @@ mod jobs;
 mod leases;
 mod live;
 mod logs;
+mod multipart;
+mod pictures;
 mod scenes;
 mod status;
 mod workers;
@@ -20,6 +23,9 @@ use lightshaft_api::event::Event;
 use tokio::sync::{RwLock, Semaphore, broadcast, watch};
 use tokio_util::sync::CancellationToken;
 
+use self::compare::Comparisons;
+pub(crate) use self::compare::is_exposure;
+pub use self::compare::{ComparisonKey, UploadedPictures};
 use self::demand::RollCall;
 pub use self::events::EventStream;
 use self::garbage::Discarded;
@@ -27,6 +33,7 @@ pub use self::jobs::{Created, KEY_LIFETIME_MS, THUMBNAIL_LABEL, is_label_key};
 use self::live::Live;
 pub use self::logs::LogStream;
 use self::logs::Logs;
+pub use self::pictures::RawLayer;
 pub use self::scenes::Uploaded;
 use crate::blob::BlobStore;
 use crate::clock::Clock;
@@ -54,6 +61,9 @@ pub struct App {
     roll: RollCall,
     logs: Logs,
     imports: Arc<Semaphore>,
+    /// Decoding and comparing pictures takes memory: few at a time.
+    picture_turns: Semaphore,
+    comparisons: Comparisons,
     /// Read while blobs get a name and then a user, written while unused ones are deleted.
     blob_use: RwLock<()>,
     /// Counts up with every change of the store.
@@ -91,6 +101,8 @@ impl App {
         let logs = Logs::open(&config.data_dir.join("logs")).await?;
         Ok(Arc::new(Self {
             imports: Arc::new(Semaphore::new(config.limits.concurrent_imports.max(1))),
+            picture_turns: Semaphore::new(config.limits.concurrent_pictures.max(1)),
+            comparisons: Comparisons::default(),
             roll: RollCall::new(clock.now()),
             config,
             store,

@@ -1,15 +1,14 @@
 //! Scenes: an upload is staged, imported, and only then kept, so that there never is half of one.
 
 use axum::extract::Request;
-use axum::extract::multipart::{Field, Multipart, MultipartError};
 use futures::TryStreamExt;
 use lightshaft_api::lease::SceneFile;
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::scene::{Scene, SceneSummary};
 use uuid::Uuid;
 
-use super::App;
 use super::import::{Files, Format};
+use super::{App, multipart};
 use crate::blob::Staged;
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
@@ -148,12 +147,7 @@ impl App {
     }
 
     async fn receive_parts(&self, request: Request, limit: u64) -> ApiResult<Package> {
-        use axum::extract::FromRequest;
-        let (parts, body) = request.into_parts();
-        let body = upload(Request::from_parts(parts.clone(), body), limit)?;
-        let mut multipart = Multipart::from_request(Request::from_parts(parts, body), &())
-            .await
-            .map_err(|rejection| ApiError::bad_request("header/content-type", &rejection.body_text()))?;
+        let mut multipart = multipart::open(request, limit).await?;
         let mut files: Vec<(String, Staged)> = Vec::new();
         let mut left = limit;
         while let Some(field) = self.next_part(&mut multipart).await? {
@@ -186,14 +180,6 @@ impl App {
                 let name = main.and_then(|(path, _)| stem(path));
                 Ok(Package { files, format: None, name })
             }
-        }
-    }
-
-    async fn next_part<'a>(&self, multipart: &'a mut Multipart) -> ApiResult<Option<Field<'a>>> {
-        let next = tokio::time::timeout(self.config.limits.upload_stall, multipart.next_field());
-        match next.await {
-            Ok(part) => part.map_err(multipart_error),
-            Err(_) => Err(ApiError::new(Code::UploadStalled, "the upload stood still for too long")),
         }
     }
 
@@ -257,8 +243,4 @@ fn check_meshes(summary: &SceneSummary, limit: usize) -> ApiResult<()> {
 
 fn unsupported(detail: String) -> ApiError {
     ApiError::new(Code::UnsupportedMediaType, detail)
-}
-
-fn multipart_error(error: MultipartError) -> ApiError {
-    ApiError::new(Code::IncompleteBody, format!("the multipart body could not be read: {}", error.body_text()))
 }

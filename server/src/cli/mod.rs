@@ -12,7 +12,6 @@ mod job;
 mod logging;
 mod openapi;
 mod output;
-mod picture;
 mod progress;
 mod render;
 mod scene;

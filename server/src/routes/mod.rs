@@ -6,6 +6,7 @@ mod health;
 mod jobs;
 mod leases;
 mod meshes;
+mod pictures;
 mod problems;
 mod scenes;
 mod status;
@@ -40,6 +41,7 @@ use crate::web::observe::observe;
     tags(
         (name = "scenes", description = "What is rendered: glTF 2.0 files"),
         (name = "jobs", description = "What is asked for, and what came of it"),
+        (name = "pictures", description = "What pictures hold, and how far two are apart"),
         (name = "blobs", description = "Immutable bytes named by their BLAKE3 hash"),
         (name = "meshes", description = "Unique meshes and the structures built for them"),
         (name = "workers", description = "Who renders"),
@@ -63,6 +65,9 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(jobs::list_attempts))
         .routes(routes!(jobs::list_artifacts))
         .routes(routes!(jobs::get_artifact))
+        .routes(routes!(pictures::list_artifact_layers))
+        .routes(routes!(pictures::get_artifact_layer))
+        .routes(routes!(pictures::get_artifact_pixel))
         .routes(routes!(jobs::get_preview))
         .routes(routes!(jobs::get_log))
         .routes(routes!(jobs::job_events))
@@ -70,6 +75,12 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(blobs::store_blob))
         .routes(routes!(blobs::get_blob, blobs::put_blob))
         .routes(routes!(blobs::missing_blobs))
+        .routes(routes!(pictures::list_blob_layers))
+        .routes(routes!(pictures::get_blob_layer))
+        .routes(routes!(pictures::get_blob_pixel))
+        .routes(routes!(pictures::compare_pictures))
+        .routes(routes!(pictures::get_heat_map))
+        .routes(routes!(pictures::get_difference))
         .routes(routes!(meshes::list_meshes))
         .routes(routes!(meshes::get_mesh))
         .routes(routes!(meshes::find_structures))

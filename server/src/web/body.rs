@@ -61,7 +61,7 @@ fn announced_length(headers: &HeaderMap) -> Option<u64> {
 }
 
 /// Reads JSON; syntax errors name line and column, all others every field that is wrong.
-fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
+pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
     // Read twice, since a `Value` would hide fields that are given twice.
     match serde_json::from_slice(bytes) {
         Ok(read) if bytes.trim_ascii_start().starts_with(b"{") => Ok(read),
@@ -123,6 +123,18 @@ impl FromRequestParts<Shared> for Ids {
 
     async fn from_request_parts(parts: &mut Parts, app: &Shared) -> ApiResult<Self> {
         path(parts, app).await.map(|(first, second)| Self(first, second))
+    }
+}
+
+/// The three parameters of a path, as text.
+#[derive(Clone, Debug)]
+pub struct ThreeIds(pub String, pub String, pub String);
+
+impl FromRequestParts<Shared> for ThreeIds {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, app: &Shared) -> ApiResult<Self> {
+        path(parts, app).await.map(|(first, second, third)| Self(first, second, third))
     }
 }
 

@@ -65,14 +65,35 @@ pub async fn serve(
             }
         }
     };
-    insert(&mut response, header::CONTENT_TYPE, media_type);
-    insert(&mut response, header::ETAG, &etag);
-    insert(&mut response, header::CACHE_CONTROL, cache);
+    describe(&mut response, media_type, &etag, cache);
     insert(&mut response, header::ACCEPT_RANGES, "bytes");
-    // The content is a stranger's: no browser may take it for a page of ours.
-    insert(&mut response, header::X_CONTENT_TYPE_OPTIONS, "nosniff");
-    insert(&mut response, header::CONTENT_SECURITY_POLICY, "default-src 'none'; sandbox");
     Ok(response)
+}
+
+/// Answers with something that is made when it is asked for. `etag`, in its quotes, must follow from what it is made of.
+pub async fn made<B: IntoResponse>(
+    etag: &str,
+    media_type: &str,
+    cache: &'static str,
+    headers: &HeaderMap,
+    make: impl AsyncFnOnce() -> ApiResult<B>,
+) -> ApiResult<Response> {
+    let mut response = if matches(headers, &header::IF_NONE_MATCH, etag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        make().await?.into_response()
+    };
+    describe(&mut response, media_type, etag, cache);
+    Ok(response)
+}
+
+/// What every file says of itself. The content is a stranger's: no browser may take it for a page of ours.
+fn describe(response: &mut Response, media_type: &str, etag: &str, cache: &'static str) {
+    insert(response, header::CONTENT_TYPE, media_type);
+    insert(response, header::ETAG, etag);
+    insert(response, header::CACHE_CONTROL, cache);
+    insert(response, header::X_CONTENT_TYPE_OPTIONS, "nosniff");
+    insert(response, header::CONTENT_SECURITY_POLICY, "default-src 'none'; sandbox");
 }
 
 async fn body(app: &App, hash: &str, range: std::ops::Range<u64>, status: StatusCode) -> ApiResult<Response> {

@@ -9,6 +9,7 @@ mod jobs;
 mod kinds;
 mod leases;
 mod openapi;
+mod pictures;
 mod scenes;
 mod service;
 mod workers;

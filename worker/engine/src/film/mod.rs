@@ -2,12 +2,14 @@
 
 mod environment;
 mod exr;
+mod layers;
 mod part;
 mod png;
 mod tonemap;
 
 pub use environment::{EnvironmentError, read_environment};
 pub use exr::encode_exr;
+pub use layers::{COLOR, ExrLayers, LayerInfo, LayerKind, LayerRange, LayersError, integer_value, is_exr};
 pub use part::{Merger, PartError, encode_part};
 pub use png::{encode_png, encode_png_srgb8};
 pub use tonemap::{ToneMap, linear_to_srgb, to_srgb8};

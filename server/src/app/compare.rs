@@ -1,0 +1,288 @@
+//! How far two pictures are apart.
+//!
+//! A comparison follows from the hashes of two blobs, the names of their layers and two numbers, and so do the addresses of
+//! its pictures: nothing is stored. The last ones are kept in memory, so that asking for the figures and then for the
+//! heat map is one piece of work.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use axum::extract::Request;
+use bytes::Bytes;
+use futures::TryStreamExt;
+use lightshaft_api::blob::is_hash;
+use lightshaft_api::compare::{CompareRequest, Compared, ComparedPicture, PictureChoice};
+use lightshaft_api::problem::FieldError;
+use lightshaft_compare::{Options, Report};
+use lightshaft_engine::film::COLOR;
+
+use super::pictures::escape;
+use super::{App, multipart};
+use crate::blob::Staged;
+use crate::error::{ApiError, ApiResult};
+use crate::picture::PictureError;
+use crate::picture::compare::{self as comparing, Bounds, Pixels};
+use crate::web::body::parse;
+
+/// Comparisons that are kept.
+const KEPT: usize = 16;
+/// What a job's picture is called, best first.
+const PICTURES: [&str; 2] = ["image.exr", "image.png"];
+
+/// A comparison as an address names it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ComparisonKey {
+    pub a: ComparedPicture,
+    pub b: ComparedPicture,
+    pub exposure: f32,
+    pub tolerance: f32,
+}
+
+/// Uploaded pictures, staged: the parts `a` and `b`.
+#[derive(Debug, Default)]
+pub struct UploadedPictures {
+    a: Option<Staged>,
+    b: Option<Staged>,
+}
+
+/// The last comparisons, newest first.
+#[derive(Default)]
+pub(super) struct Comparisons(Mutex<VecDeque<(ComparisonKey, Arc<Finding>)>>);
+
+struct Finding {
+    width: u32,
+    height: u32,
+    figures: Report,
+    /// PNG.
+    heat_map: Bytes,
+}
+
+/// Which of the two pictures.
+#[derive(Clone, Copy, Debug)]
+enum Side {
+    A,
+    B,
+}
+
+impl Side {
+    fn name(self) -> &'static str {
+        match self {
+            Self::A => "a",
+            Self::B => "b",
+        }
+    }
+}
+
+/// Where the pictures of a comparison are named, for problems.
+#[derive(Clone, Copy)]
+enum Asked {
+    /// In a JSON body.
+    Body,
+    /// In an address.
+    Address,
+}
+
+impl Asked {
+    fn problem(self, side: Side, error: &PictureError) -> ApiError {
+        let side = side.name();
+        let pointer = match (self, error) {
+            (Self::Body, PictureError::NoLayer(_)) => format!("/{side}/layer"),
+            (Self::Body, PictureError::Unreadable(_)) => format!("/{side}"),
+            (Self::Address, PictureError::NoLayer(_)) => format!("query/{side}_layer"),
+            (Self::Address, PictureError::Unreadable(_)) => format!("path/{side}"),
+        };
+        ApiError::fields(vec![FieldError::new(pointer, error.to_string())])
+    }
+}
+
+impl Comparisons {
+    fn find(&self, key: &ComparisonKey) -> Option<Arc<Finding>> {
+        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.iter().find(|(known, _)| known == key).map(|(_, finding)| Arc::clone(finding))
+    }
+
+    fn keep(&self, key: ComparisonKey, finding: Arc<Finding>) {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.truncate(KEPT - 1);
+        kept.push_front((key, finding));
+    }
+}
+
+impl ComparisonKey {
+    /// Address of a picture of the comparison.
+    fn href(&self, name: &str) -> String {
+        let (a, b) = (escape(&self.a.layer), escape(&self.b.layer));
+        let exposure = if self.exposure == 0.0 { String::new() } else { format!("&exposure={}", self.exposure) };
+        format!("/v1/compare/{}/{}/{name}?a_layer={a}&b_layer={b}{exposure}", self.a.hash, self.b.hash)
+    }
+
+    /// The page that shows both.
+    fn page(&self) -> String {
+        let layer = if self.a.layer == COLOR { String::new() } else { format!("&layer={}", escape(&self.a.layer)) };
+        format!("/compare?p={}&p={}{layer}", self.a.hash, self.b.hash)
+    }
+
+    fn options(&self) -> Options {
+        Options { exposure: self.exposure, tolerance: self.tolerance, ..Options::default() }
+    }
+}
+
+impl App {
+    /// Reads a comparison whose pictures are uploaded: a part `a`, a part `b`, or both, and `request` with the rest.
+    pub async fn receive_comparison(&self, request: Request) -> ApiResult<(CompareRequest, UploadedPictures)> {
+        let limits = &self.config.limits;
+        let mut multipart = multipart::open(request, limits.picture_bytes.saturating_mul(2)).await?;
+        let (mut wanted, mut uploads) = (CompareRequest::default(), UploadedPictures::default());
+        while let Some(field) = self.next_part(&mut multipart).await? {
+            match field.name() {
+                Some("request") => wanted = parse(&self.read_part(field, limits.json_bytes).await?)?,
+                Some(name @ ("a" | "b")) => {
+                    let place = if name == "a" { &mut uploads.a } else { &mut uploads.b };
+                    let stream = Box::pin(field.map_err(|error| error.body_text()));
+                    *place = Some(self.blobs.stage(stream, limits.picture_bytes, limits.upload_stall).await?);
+                }
+                _ => return Err(ApiError::bad_request("body", "the parts must be called a, b and request")),
+            }
+        }
+        Ok((wanted, uploads))
+    }
+
+    /// Compares two pictures. Uploaded ones are kept as blobs, a week at least.
+    pub async fn compare(&self, wanted: &CompareRequest, uploads: UploadedPictures) -> ApiResult<Compared> {
+        self.check_running()?;
+        let mut errors = wrong_figures(wanted);
+        let mut pictures = Vec::new();
+        for (side, choice, upload) in [(Side::A, &wanted.a, uploads.a), (Side::B, &wanted.b, uploads.b)] {
+            match self.find_picture(choice, upload).await? {
+                Ok(hash) => {
+                    let layer = choice.layer.clone().unwrap_or_else(|| COLOR.to_owned());
+                    pictures.push(ComparedPicture { hash, layer });
+                }
+                Err((field, detail)) => errors.push(FieldError::new(format!("/{}{field}", side.name()), detail)),
+            }
+        }
+        let (true, Ok([a, b])) = (errors.is_empty(), <[ComparedPicture; 2]>::try_from(pictures)) else {
+            return Err(ApiError::fields(errors));
+        };
+        let key = ComparisonKey { a, b, exposure: wanted.exposure, tolerance: wanted.tolerance };
+        let found = self.find_or_compare(&key, Asked::Body).await?;
+        let bounds = Bounds { max_rmse: wanted.max_rmse, max_flip: wanted.max_flip };
+        Ok(Compared {
+            report: comparing::report(found.width, found.height, &found.figures, bounds),
+            heat_map: key.href("heat-map.png"),
+            difference: key.href("difference.png"),
+            page: key.page(),
+            a: key.a,
+            b: key.b,
+        })
+    }
+
+    /// The FLIP error of every pixel as a PNG.
+    pub async fn heat_map(&self, key: &ComparisonKey) -> ApiResult<Bytes> {
+        Ok(self.find_or_compare(key, Asked::Address).await?.heat_map.clone())
+    }
+
+    /// The absolute difference times `gain` as a PNG.
+    pub async fn difference(&self, key: &ComparisonKey, gain: f32) -> ApiResult<Bytes> {
+        let drawn = self.with_pair(key, Asked::Address, move |a, b| comparing::difference_png(a, b, gain));
+        Ok(drawn.await?.into())
+    }
+
+    /// The hash of a chosen picture; or the field that is wrong, and why.
+    async fn find_picture(
+        &self,
+        choice: &PictureChoice,
+        upload: Option<Staged>,
+    ) -> ApiResult<Result<String, (&'static str, String)>> {
+        let wrong = |field: &'static str, detail: &str| Ok(Err((field, detail.to_owned())));
+        match (upload, &choice.blob, &choice.job) {
+            (Some(staged), None, None) => {
+                let hash = staged.hash().to_owned();
+                let _in_use = self.blob_use.read().await;
+                self.blobs.commit(staged).await.map_err(ApiError::internal)?;
+                Ok(Ok(hash))
+            }
+            (None, Some(blob), None) if !is_hash(blob) => wrong("/blob", "must be 64 lower-case hex digits"),
+            (None, Some(blob), None) => match self.blobs.size(blob).await.map_err(ApiError::internal)? {
+                Some(_) => Ok(Ok(blob.clone())),
+                None => wrong("/blob", "is not in the blob store"),
+            },
+            (None, None, Some(job)) => self.find_artifact(job, choice.artifact.as_deref()).await,
+            (None, None, None) => wrong("", "must name a job or a blob, or be sent as a part of multipart/form-data"),
+            _ => wrong("", "must be one of these: a job, a blob, a part of multipart/form-data"),
+        }
+    }
+
+    async fn find_artifact(&self, job: &str, name: Option<&str>) -> ApiResult<Result<String, (&'static str, String)>> {
+        if self.store.job_state(job).await?.is_none() {
+            let job: String = job.chars().take(128).collect();
+            return Ok(Err(("/job", format!("there is no job `{job}`"))));
+        }
+        let artifacts = self.store.artifacts(job).await?;
+        let find = |name: &str| artifacts.iter().find(|artifact| artifact.name == name);
+        let found = match name {
+            Some(name) => find(name),
+            None => PICTURES.into_iter().find_map(find),
+        };
+        Ok(found.map(|artifact| artifact.hash.clone()).ok_or_else(|| {
+            let there: Vec<&str> = artifacts.iter().map(|artifact| artifact.name.as_str()).collect();
+            let there = if there.is_empty() { "none yet".to_owned() } else { there.join(", ") };
+            ("/artifact", format!("is not among the job's artifacts: it has {there}"))
+        }))
+    }
+
+    async fn find_or_compare(&self, key: &ComparisonKey, asked: Asked) -> ApiResult<Arc<Finding>> {
+        if let Some(known) = self.comparisons.find(key) {
+            return Ok(known);
+        }
+        let options = key.options();
+        let finding = self.with_pair(key, asked, move |a, b| {
+            let failed = |error: lightshaft_compare::Error| PictureError::Unreadable(error.to_string());
+            let outcome = comparing::layers(a, b, &options).map_err(failed)?;
+            let heat_map = comparing::heat_map_png(&outcome.flip)?.into();
+            Ok(Finding { width: a.width, height: a.height, figures: outcome.figures, heat_map })
+        });
+        let finding = Arc::new(finding.await?);
+        self.comparisons.keep(key.clone(), Arc::clone(&finding));
+        Ok(finding)
+    }
+
+    /// Reads both layers, which must have one size, and works on them when it is their turn.
+    async fn with_pair<T, F>(&self, key: &ComparisonKey, asked: Asked, work: F) -> ApiResult<T>
+    where
+        T: Send + 'static,
+        F: FnOnce(&Pixels, &Pixels) -> Result<T, PictureError> + Send + 'static,
+    {
+        let _turn = self.picture_turn().await?;
+        let (first, second) = (self.picture_bytes(&key.a.hash).await?, self.picture_bytes(&key.b.hash).await?);
+        let (a_layer, b_layer) = (key.a.layer.clone(), key.b.layer.clone());
+        let max_pixels = self.config.limits.compare_pixels;
+        let worked = tokio::task::spawn_blocking(move || {
+            let a = Pixels::read(&first, &a_layer, max_pixels).map_err(|error| (Side::A, error))?;
+            let b = Pixels::read(&second, &b_layer, max_pixels).map_err(|error| (Side::B, error))?;
+            drop((first, second));
+            if let Some(problem) = comparing::size_problem(&a, &b) {
+                return Err((Side::B, PictureError::Unreadable(problem)));
+            }
+            work(&a, &b).map_err(|error| (Side::B, error))
+        });
+        worked.await.map_err(ApiError::internal)?.map_err(|(side, error)| asked.problem(side, &error))
+    }
+}
+
+/// Whether an exposure is one that pictures are shown with.
+pub(crate) fn is_exposure(stops: f32) -> bool {
+    (-32.0..=32.0).contains(&stops)
+}
+
+fn wrong_figures(wanted: &CompareRequest) -> Vec<FieldError> {
+    let not_negative = "must be a number of at least 0";
+    let limit = |limit: Option<f64>| limit.is_none_or(|limit| limit.is_finite() && limit >= 0.0);
+    let checks = [
+        (is_exposure(wanted.exposure), "/exposure", "must be -32 to 32 stops"),
+        (wanted.tolerance.is_finite() && wanted.tolerance >= 0.0, "/tolerance", not_negative),
+        (limit(wanted.max_rmse), "/max_rmse", not_negative),
+        (limit(wanted.max_flip), "/max_flip", not_negative),
+    ];
+    checks.into_iter().filter(|check| !check.0).map(|(_, pointer, detail)| FieldError::new(pointer, detail)).collect()
+}
