@@ -56,13 +56,41 @@ test: test-tools lint ## Installs what tests need and runs everything: format, l
 	echo '== tests'
 	status=0
 	cargo test --workspace --locked --no-fail-fast 2>&1 | tee target/test.log || status=$$?
+	$(MAKE) test-python 2>&1 | tee target/test-python.log || status=$$?
 	echo
 	echo '== summary'
 	grep -E '^test .* FAILED$$' target/test.log || true
+	grep -E '^(FAILED|ERROR) ' target/test-python.log || true
 	awk '/^test result:/ { binaries++; passed += $$4; failed += $$6; ignored += $$8 }
-	  END { printf "test result: %s. %d passed; %d failed; %d ignored; in %d test binaries\n",
-	    failed || '$$status' ? "FAILED" : "ok", passed, failed, ignored, binaries }' target/test.log
+	  /^=+ .* in [0-9.]+s/ { for (i = 1; i < NF; i++) {
+	    if ($$(i + 1) ~ /^passed/) { passed += $$i; python = $$i }
+	    if ($$(i + 1) ~ /^(failed|error)/) failed += $$i
+	    if ($$(i + 1) ~ /^(skipped|xfailed|deselected)/) ignored += $$i } }
+	  END { printf "test result: %s. %d passed; %d failed; %d ignored; in %d test binaries and %d tests in Python\n",
+	    failed || '$$status' ? "FAILED" : "ok", passed, failed, ignored, binaries, python }' \
+	  target/test.log target/test-python.log
 	exit $$status
+
+# Pinned packages, in a virtual environment that is made anew when their list changes.
+PYTHON := target/python
+
+.PHONY: test-python
+test-python: compiler test-tools ## The Python client: lints, types, and its tests against the real service.
+	@cargo build --locked --bin lightshaft
+	echo '== python'
+	cd api/python
+	tools=$(CURDIR)/$(PYTHON)/bin
+	"$$tools/ruff" check
+	"$$tools/ruff" format --check
+	"$$tools/mypy"
+	"$$tools/python" -m pytest
+
+$(PYTHON)/ready: api/python/requirements-dev.lock api/python/pyproject.toml
+	@rm -rf $(PYTHON)
+	python3 -m venv $(PYTHON)
+	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r api/python/requirements-dev.lock
+	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable api/python
+	touch $@
 
 .PHONY: lint
 lint: compiler ## Format, lints with warnings denied, and (where cargo-deny is installed) security advisories.
@@ -87,7 +115,7 @@ compiler:
 	@command -v cargo >/dev/null || { echo 'no cargo: install Rust from https://rustup.rs' >&2; exit 1; }
 	command -v cc >/dev/null || $(MAKE) apt PACKAGES='build-essential'
 
-# What tests use beside Rust: a software Vulkan driver (lavapipe) and a browser with its WebDriver.
+# What tests use beside Rust: a software Vulkan driver (lavapipe), a browser with its WebDriver, and Python with packages.
 .PHONY: test-tools
 test-tools:
 	@missing=
@@ -95,7 +123,9 @@ test-tools:
 	compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' >/dev/null || missing+=' mesa-vulkan-drivers'
 	command -v chromium >/dev/null || missing+=' chromium'
 	command -v chromedriver >/dev/null || missing+=' chromium-driver'
+	python3 -c 'import ensurepip, venv' 2>/dev/null || missing+=' python3-venv'
 	[ -z "$$missing" ] || $(MAKE) apt PACKAGES="$$missing"
+	$(MAKE) $(PYTHON)/ready
 
 # Installs Debian packages as root or with sudo. On Debian 12, Mesa comes from backports: the lavapipe of its release
 # (22.3) works too, and is slower.

@@ -1,0 +1,780 @@
+"""What the service takes and answers. Written by generate.py from api/openapi.json: do not edit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal, TypeAlias
+
+AovName = Literal[
+    "depth",
+    "position",
+    "geometric_normal",
+    "shading_normal",
+    "albedo",
+    "instance_id",
+    "primitive_id",
+    "material_id",
+    "box_tests",
+    "triangle_tests",
+]
+
+#: Which Line Spaces policy `exact` asks before the structure of their mesh is walked. The answers are the same.
+Ask = Literal["where_it_pays", "always"]
+
+#: How an attempt ended; the failures are the retry classes of `RetryClass`.
+AttemptOutcome = Literal[
+    "running",
+    "succeeded",
+    "worker",
+    "task",
+    "transient",
+    "interrupted",
+    "expired",
+    "cancelled",
+]
+
+#: Tables of Keul's dissertation (2020, "Efficient ray tracing with line space").
+BenchmarkPreset = Literal[
+    "keul-4.1",
+    "keul-4.2",
+    "keul-5.1",
+    "keul-6.1",
+    "keul-7.2",
+    "keul-7.3",
+    "keul-7.4",
+    "keul-8.1",
+    "keul-8.2",
+    "keul-8.3",
+]
+
+#: What Line Spaces are used for in one bounce.
+BouncePolicy = Literal["exact", "approximate_occlusion", "adaptive", "representative"]
+
+BuildQuality = Literal["fast", "medium", "high"]
+
+CacheSource = Literal["built", "memory", "disk", "fetched"]
+
+CameraChoice: TypeAlias = "int | str | CustomCamera | dict[str, Any]"
+
+DeviceChoice = Literal["auto", "cpu", "gpu"]
+
+DeviceKind = Literal["cpu", "gpu"]
+
+#: What is rendered. The scene is lit the same for all configurations: see each.
+Effect: TypeAlias = "dict[str, Any]"
+
+#: A number (grey radiance), `[r, g, b]`, or a map uploaded to `/v1/blobs`.
+Environment: TypeAlias = "float | list[float] | EnvironmentMap | dict[str, Any]"
+
+EventKind = Literal[
+    "job.created",
+    "job.changed",
+    "job.started",
+    "job.progress",
+    "job.preview",
+    "job.succeeded",
+    "job.failed",
+    "job.cancelled",
+    "job.retried",
+    "job.deleted",
+    "task.leased",
+    "task.succeeded",
+    "task.failed",
+    "task.retried",
+    "task.expired",
+    "task.cancelled",
+]
+
+Integrator = Literal["aov", "ao", "direct", "whitted", "path"]
+
+JobKind = Literal["render", "benchmark", "build"]
+
+JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+
+LightKind = Literal["point", "spot", "directional"]
+
+LineSpaceBuilder = Literal["mask", "clip", "ray_cast", "layered"]
+
+#: What is stored for a shaft: all lines between two patches.
+LineSpacePayload = Literal["binary", "candidate", "tri_state", "coverage"]
+
+#: What to do where a Line Space needs more than its budget.
+OnOverBudget = Literal["refuse", "shrink", "skip"]
+
+#: What is done in the box in which an occlusion ray starts.
+OriginNode = Literal["exact", "skip"]
+
+#: How an object is met by rays that start in its box.
+OriginObject = Literal["exact", "line_space"]
+
+Output = Literal["png", "exr"]
+
+#: What a worker is at within a task.
+Phase = Literal["fetch", "import", "structures", "prepare", "render", "output"]
+
+#: What Line Spaces are used for.
+Policy: TypeAlias = 'Literal["exact", "approximate_occlusion", "adaptive", "representative"] | dict[str, Any]'
+
+#: What is done in the box in which an indirect ray starts.
+RepresentativeOrigin = Literal["exact", "approximate"]
+
+ServiceState = Literal["active", "idle", "waiting", "inoperable"]
+
+Split: TypeAlias = "dict[str, Any]"
+
+StructureKind = Literal["two_level", "bvh", "grid", "octree", "ntree"]
+
+TaskState = Literal[
+    "blocked",
+    "ready",
+    "leased",
+    "succeeded",
+    "failed",
+    "cancelled",
+    "dead",
+]
+
+#: What a task does.
+TaskWork: TypeAlias = "dict[str, Any]"
+
+ToneMap = Literal["pbr_neutral", "agx", "none"]
+
+WorkerState = Literal["idle", "busy", "draining", "gone"]
+
+
+@dataclass(kw_only=True)
+class Acceleration:
+    """Which spatial structure rays are traced over. All give the same picture; what differs is time and memory."""
+
+    #: Of policy `adaptive`.
+    adaptive: Adaptive | dict[str, Any] | None = None
+    #: Of `grid`, `octree` and `ntree`: a structure that would need more is refused; 1048576 (1 MiB) and more, 4 GiB
+    #: when null.
+    budget_bytes: int | None = None
+    #: Of `grid`: cells for each primitive, 1 to 64; 4 when neither this nor `resolution` is given.
+    cells_per_primitive: int | None = None
+    #: Levels of subdivision. Of `ntree`: 1 to 6, 3 when null. Of `octree`: 1 to 16, 12 when null.
+    depth: int | None = None
+    #: Of `two_level` and `ntree`, on the CPU: what is known of the lines through each mesh, or each node; null for
+    #: nothing.
+    line_space: LineSpace | dict[str, Any] | None = None
+    #: Of `ntree` and `octree`: cells with at most so many primitives are not subdivided, 0 to 1024; 8 when null.
+    max_leaf: int | None = None
+    #: Of `ntree`: cells of a node on each axis, 2 to 16; 6 when null.
+    n: int | None = None
+    #: Of policy `approximate_occlusion`, with boxes below the mesh's own: what is done in the box in which a ray
+    #: starts.
+    origin_node: OriginNode | None = None
+    #: What `line_space` is used for.
+    policy: Policy | None = None
+    #: Of BVHs.
+    quality: BuildQuality | None = None
+    #: Of policy `representative`.
+    representative: Representative | dict[str, Any] | None = None
+    #: Of `grid`: cells on the longest axis instead, 1 to 4096.
+    resolution: int | None = None
+    #: Of BVHs: a triangle may stand in several leaves where that pays.
+    spatial_splits: bool | None = None
+    structure: StructureKind | None = None
+
+
+@dataclass(kw_only=True)
+class Adaptive:
+    """The usage heuristic: `gamma` is the distance of an object's box in diagonals of it, times the size of the
+    light by its distance (1 for ambient occlusion and the sky, 0 for punctual lights), times `delta`. Below 1
+    the object is exact; at 1 the deepest boxes answer, and each further 1 takes one level less.
+    """
+
+    #: 0 to 1000000; 0 gives the exact picture.
+    delta: float | None = None
+    #: Ambient-occlusion rays are moved at random within a disc before their shaft is looked up.
+    disc_sampling: bool | None = None
+    #: Between two depths one is chosen at random, by the fraction.
+    interpolate: bool | None = None
+    origin_object: OriginObject | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Artifact:
+    bytes: int
+    #: BLAKE3 of the content; also its ETag.
+    hash: str
+    href: str
+    media_type: str
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One lease of one task. Never overwritten."""
+
+    error: str | None = None
+    finished_at: datetime | None = None
+    id: str
+    #: From 1.
+    number: int
+    outcome: AttemptOutcome
+    #: The last phase that a heartbeat told of.
+    phase: Phase | None = None
+    started_at: datetime
+    task: str
+    worker: str
+    worker_name: str
+
+
+@dataclass(kw_only=True)
+class BenchmarkSettings:
+    """Every configuration renders every effect from every view of every scene, in turn with the reference."""
+
+    #: Part of the GPU adapter's name, case-insensitive; any adapter when null.
+    adapter: str | None = None
+    #: What is compared, 1 to 32. With a preset: empty.
+    configurations: list[Configuration | dict[str, Any]] | None = None
+    #: One device for all configurations; `auto` is a GPU if there is a real one that can walk all of them.
+    device: DeviceChoice | None = None
+    #: What is rendered, at most 16. With a preset: empty.
+    effects: list[Effect] | None = None
+    #: Pixels, 16 to 4096; likewise.
+    height: int | None = None
+    #: A configuration renders a frame as often as it takes for one time to be at least so long; 0.001 to 60.
+    min_sample_s: float | None = None
+    #: Samples per pixel of the pictures that are compared, 1 to 65536.
+    picture_spp: int | None = None
+    #: A table of Keul's work: it gives effects, configurations, references and the picture's size. Null: they are
+    #: given here.
+    preset: BenchmarkPreset | None = None
+    #: Name of the configuration that the others are compared with; the first when null.
+    reference: str | None = None
+    #: Rounds in which each configuration is timed once, 3 to 1000.
+    repetitions: int | None = None
+    #: Ids of further scenes, beside the job's own; at most 16.
+    scenes: list[str] | None = None
+    seed: int | None = None
+    #: Samples per pixel of a timed frame, 1 to 1024.
+    spp: int | None = None
+    #: At most 16. Empty: the scene's cameras, at most three of them, or three views around it where it has none.
+    views: list[CameraChoice] | None = None
+    #: Pixels, 16 to 4096; 512, or as in the preset's table, when null.
+    width: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    max: list[float]
+    min: list[float]
+
+
+@dataclass(kw_only=True)
+class BuildSettings:
+    """Makes the structures of a scene's meshes, so that later jobs find them ready."""
+
+    acceleration: Acceleration | dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheReport:
+    bytes: int
+    #: Hash of the mesh; of a structure over all instances, a hash over their meshes and transforms.
+    mesh: str
+    seconds: float
+    source: CacheSource
+    #: Structure kind and parameters.
+    structure: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheStatus:
+    """What a worker's structure cache holds."""
+
+    disk_bytes: int
+    entries: int
+    memory_budget_bytes: int
+    memory_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSummary:
+    #: `perspective` or `orthographic`.
+    kind: str
+    name: str
+
+
+@dataclass(kw_only=True)
+class Configuration:
+    """One of the things that are compared."""
+
+    acceleration: Acceleration | dict[str, Any] | None = None
+    #: 1 to 64 letters, digits, spaces and `.,_+()-`; each different.
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentWork:
+    job: str
+    task: str
+
+
+@dataclass(kw_only=True)
+class CustomCamera:
+    #: Vertical field of view; 40 when neither this nor `half_height` is given.
+    fov_y_deg: float | None = None
+    #: Orthographic instead: half the height of the view in world units.
+    half_height: float | None = None
+    position: list[float]
+    target: list[float]
+    up: list[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device:
+    backend: str
+    #: `DiscreteGpu`, `IntegratedGpu`, `VirtualGpu` or `Cpu`.
+    device_type: str
+    driver: str
+    kind: DeviceKind
+    name: str
+
+
+@dataclass(kw_only=True)
+class EnvironmentMap:
+    intensity: float | None = None
+    #: Hash of an equirectangular .hdr or .exr in the blob store.
+    map: str
+    #: About +Y.
+    rotation_deg: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """One event; `id` is also the SSE id, so that `Last-Event-ID` resumes after it."""
+
+    at: datetime
+    #: `task`, `attempt`, `worker`, `error`, `class`, `progress` (of the task), `job_progress`, `phase`, `spp`, `href`:
+    #: what the kind has to say.
+    data: Any
+    #: Null for `job.progress` and `job.preview`: those are not kept, and a stream that resumes does not repeat them.
+    id: int | None = None
+    job: str
+    kind: EventKind
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldError:
+    detail: str
+    #: JSON pointer into the request body (`/settings/width`), `query/<name>`, `header/<name>`, or a position in an
+    #: uploaded file (`file/meshes/0/primitives/1`).
+    pointer: str
+
+
+@dataclass(kw_only=True)
+class Ground:
+    albedo: list[float] | None = None
+    #: Half side length; 20 scene radii when null.
+    half_size: float | None = None
+    #: World height; the scene's lowest point when null.
+    height: float | None = None
+    roughness: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobSummary:
+    """One line of the list of jobs."""
+
+    cancel_requested: bool
+    created_at: datetime
+    #: What a failed job failed of.
+    error: str | None = None
+    finished_at: datetime | None = None
+    id: str
+    kind: JobKind
+    labels: dict[str, str]
+    paused: bool
+    priority: int
+    #: 0 to 1 over all tasks.
+    progress: float
+    scene: str
+    scene_name: str
+    started_at: datetime | None = None
+    state: JobState
+    #: Succeeded tasks.
+    tasks_done: int
+    tasks_total: int
+    #: W3C trace id, 32 hex digits, the same in every log line from submit to done.
+    trace_id: str
+
+
+@dataclass(kw_only=True)
+class Light:
+    #: Linear colour.
+    color: list[float] | None = None
+    #: Where it shines to; required for directional and spot.
+    direction: list[float] | None = None
+    #: Spot cone half angles, 0 <= inner < outer <= 90.
+    inner_cone_deg: float | None = None
+    #: Candela (point, spot) or lux (directional).
+    intensity: float | None = None
+    kind: LightKind
+    outer_cone_deg: float | None = None
+    #: World space; required for point and spot.
+    position: list[float] | None = None
+    range: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightSummary:
+    #: `point`, `spot` or `directional`.
+    kind: str
+    name: str
+
+
+@dataclass(kw_only=True)
+class LineSpace:
+    """A Line Space for each mesh of the scene, or for each node of its N-tree: the faces of a box are cut into
+    patches, and something is stored for each pair of patches. Those of meshes are cached and shared by mesh, as
+    structures are.
+    """
+
+    ask: Ask | None = None
+    #: Of `coverage`: bits for each shaft, 2 to 8; 8 when null.
+    bits: int | None = None
+    #: How it is made. Of `binary`: `mask` (when null), `clip` or `ray_cast`. Of `tri_state`: `layered`. Of the others:
+    #: `ray_cast`.
+    builder: LineSpaceBuilder | None = None
+    #: Levels of the structure below its root whose boxes have Line Spaces. Of `two_level`: 0, the mesh's own box, when
+    #: null. Of `ntree`: all levels of nodes when null.
+    depth: int | None = None
+    #: Of `tri_state`: a tree that is fine only where shafts are undecided, instead of a table. Needs an `n` of 4, 8,
+    #: 16 or 32, and is true for those when null.
+    hierarchical: bool | None = None
+    #: What all Line Spaces of the job may take, 1024 and more; 4 GiB when null.
+    job_budget_bytes: int | None = None
+    #: What the Line Space of one mesh may take, 1024 and more; 256 MiB when null.
+    mesh_budget_bytes: int | None = None
+    #: Patches along the edge of a face. Of `tri_state`: 1 to 32, 16 when null. Of `binary`: 1 to 12 with builder
+    #: `mask`, 1 to 32 with the others, 8 when null. Of `candidate`: 1 to 32, 6 when null. Of `coverage`: 1 to 32, 8
+    #: when null.
+    n: int | None = None
+    on_over_budget: OnOverBudget | None = None
+    payload: LineSpacePayload | None = None
+    #: Of `coverage`: lines cast for each shaft, 1 to 1024; 16 when null.
+    rays: int | None = None
+    #: Of `tri_state`: voxels along each axis while it is built: 16, 32, 64, 128 or 256; 128 when null.
+    resolution: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineSpaceUse:
+    """Of a job with Line Spaces. One ray may ask those of several meshes, and counts each time."""
+
+    #: Of all those, the ones that policy `approximate_occlusion` answered without proof.
+    approximated: int
+    #: Of those, the ones that are asked: where it pays.
+    asked: int
+    #: Whose line passes the mesh's box by.
+    beside: int
+    #: Whose shaft is empty: the mesh was skipped.
+    empty: int
+    #: Meshes that have one.
+    meshes: int
+    #: Of whose shaft nothing is certain: the structure was walked.
+    mixed: int
+    #: Nodes of an N-tree whose shaft was looked up, by all rays.
+    node_look_ups: int
+    #: Whose shaft is blocked throughout; an occlusion ray that crosses the whole box was answered.
+    opaque: int
+    #: Rays that asked: the sum of those below.
+    rays: int
+    #: Of those, the ones that were passed by with all below them.
+    skipped_nodes: int
+    #: That start in the mesh's box: the structure was walked.
+    starts_inside: int
+    #: That start too far away for single precision: the structure was walked.
+    too_far: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    hash: str
+    spheres: int
+    structures: list[Structure]
+    triangles: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshSummary:
+    #: In object space.
+    bounds: Bounds | None = None
+    hash: str
+    instances: int
+    name: str
+    spheres: int
+    triangles: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metrics:
+    """Measured by the worker; summed over a job's tasks."""
+
+    #: Getting every structure: built, loaded or fetched.
+    build_s: float
+    cache: list[CacheReport]
+    device: str
+    device_kind: str
+    #: From the same moment until its first tile began to be rendered; without a service, from the start.
+    first_tile_s: float | None = None
+    #: What Line Spaces were asked and answered; null in a job without.
+    line_space: LineSpaceUse | None = None
+    line_space_bytes: int
+    #: On a GPU, the longest that it was held at a stretch, once its kernels were compiled; 0 on a CPU.
+    longest_submit_s: float
+    #: Rays of all kinds over `render_s`.
+    mrays_per_s: float
+    #: Encoding and uploading pictures.
+    output_s: float
+    #: Highest resident memory of the worker process.
+    peak_bytes: int
+    #: Packing and uploading to the device.
+    prepare_s: float
+    #: From when the first task could run, most often the submission, until a worker leased it; null without a service.
+    queue_s: float | None = None
+    rays: RayCounts
+    render_s: float
+    #: Fetching and decoding the scene.
+    scene_s: float
+    spp: int
+    structure_bytes: int
+    #: Nodes of all structures: of BVHs those of the binary trees, of grids one.
+    structure_nodes: int
+    total_s: float
+    #: Engine, driver and shader versions.
+    versions: dict[str, str]
+    warnings: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewJob:
+    """Body of `POST /v1/jobs`."""
+
+    #: `render` when left out.
+    kind: JobKind
+    #: At most 32, keys up to 64 and values up to 256 characters.
+    labels: dict[str, str]
+    #: Attempts at each task, 1 to 20; 3 when null.
+    max_attempts: int | None = None
+    #: Higher runs first; -100 to 100.
+    priority: int
+    #: Scene id.
+    scene: str
+    #: Of the kind.
+    settings: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayCounts:
+    ao: int
+    indirect: int
+    primary: int
+    shadow: int
+
+
+@dataclass(kw_only=True)
+class RenderSettings:
+    acceleration: Acceleration | dict[str, Any] | None = None
+    #: Part of the GPU adapter's name, case-insensitive; any adapter when null.
+    adapter: str | None = None
+    #: Reach of ambient occlusion in world units; a tenth of the scene's diagonal when null.
+    ao_distance: float | None = None
+    #: Rays of ambient occlusion per pixel sample, 1 to 1024.
+    ao_samples: int | None = None
+    #: First-hit layers for the EXR.
+    aovs: list[AovName] | None = None
+    #: A camera of the scene by name or number, or one given here; null takes the scene's first, or frames the scene.
+    camera: CameraChoice | None = None
+    device: DeviceChoice | None = None
+    #: Constant radiance or a map; null is black, or a grey sky of 1 where the scene has no light: textures of emission
+    #: are none.
+    environment: Environment | None = None
+    #: Stops: the picture is multiplied by `2^exposure` before tone mapping; -32 to 32.
+    exposure: float | None = None
+    ground: Ground | dict[str, Any] | None = None
+    #: Pixels, 1 to 16384; width times height at most 67108864.
+    height: int | None = None
+    integrator: Integrator | None = None
+    #: Lights beside the scene's own.
+    lights: list[Light | dict[str, Any]] | None = None
+    #: Longest path after the first hit (path), or longest chain of mirrors (whitted); 0 to 64.
+    max_bounces: int | None = None
+    outputs: list[Output] | None = None
+    seed: int | None = None
+    #: Cut the job into tasks that several workers can share; null renders it as one.
+    split: Split | None = None
+    #: Samples per pixel, 1 to 1048576.
+    spp: int | None = None
+    #: Stop after the pass in which this much time has passed, with the samples there are; null for no limit.
+    time_limit_s: float | None = None
+    tone_map: ToneMap | None = None
+    #: Pixels, 1 to 16384.
+    width: int | None = None
+
+
+@dataclass(kw_only=True)
+class Representative:
+    """When a candidate counts as hit: its triangle stands for its whole plane."""
+
+    #: Greatest angle between the normal, extrapolated beyond the triangle, and the triangle's mean normal; 0 to 180
+    #: (any).
+    angle_threshold_deg: float | None = None
+    origin_node: RepresentativeOrigin | None = None
+    #: By how much of its diagonal a box grows before hits outside it are dropped, 0 to 1.
+    range_slack: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSummary:
+    """What a scene holds: found on import."""
+
+    #: World-space bounds of all instances; null for a scene with nothing in it.
+    bounds: Bounds | None = None
+    cameras: list[CameraSummary]
+    #: Triangles and spheres that emit, over all instances.
+    emitters: int
+    #: Geometry, textures and structures in memory, roughly.
+    estimated_bytes: int
+    instances: int
+    lights: list[LightSummary]
+    materials: list[str]
+    meshes: list[MeshSummary]
+    spheres_total: int
+    texture_pixels: int
+    textures: int
+    #: Over all instances.
+    triangles_instanced: int
+    #: Over unique meshes.
+    triangles_total: int
+    warnings: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateCounts:
+    cancelled: int
+    failed: int
+    queued: int
+    running: int
+    succeeded: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Status:
+    blob_bytes: int
+    jobs: StateCounts
+    scenes: int
+    state: ServiceState
+    tasks_leased: int
+    tasks_ready: int
+    uptime_s: float
+    version: str
+    workers: WorkerCounts
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredBlob:
+    """Answer to storing a blob."""
+
+    bytes: int
+    hash: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """A built structure. Identified by mesh, kind, parameters and builder version."""
+
+    #: BLAKE3 of the encoded structure in the blob store.
+    blob: str
+    build_s: float
+    builder_version: int
+    bytes: int
+    kind: str
+    parameters: str
+    #: Ids of workers that hold it warm.
+    workers: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    #: Attempts spent.
+    attempt: int
+    #: What it failed of where no attempt says it: no worker has the device that it demands.
+    error: str | None = None
+    id: str
+    index: int
+    max_attempts: int
+    progress: float
+    #: From when on a waiting task may run: in the future after a failure that is worth a pause.
+    ready_at: datetime | None = None
+    state: TaskState
+    work: TaskWork
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidatedJob:
+    """Answer to `POST /v1/jobs?validate_only=true`: the job as it would be made, every default filled in."""
+
+    job: NewJob
+    #: How many tasks it would have.
+    tasks: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worker:
+    cache: CacheStatus
+    #: Job and task that it works on.
+    current: CurrentWork | None = None
+    devices: list[Device]
+    draining: bool
+    id: str
+    last_seen_at: datetime
+    name: str
+    registered_at: datetime
+    state: WorkerState
+    tags: list[str]
+    tasks_done: int
+    version: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerCounts:
+    busy: int
+    draining: int
+    gone: int
+    idle: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(JobSummary):
+    """A whole job."""
+
+    artifacts: list[Artifact]
+    attempts: list[Attempt]
+    #: Attempts at each task.
+    max_attempts: int
+    metrics: Metrics | None = None
+    #: Where the picture so far is, while the job runs and a worker has sent one.
+    preview: str | None = None
+    settings: dict[str, Any]
+    tasks: list[Task]
+    #: Why none of its tasks runs, while the job waits.
+    waiting: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(SceneSummary):
+    #: Bytes of the upload.
+    bytes: int
+    created_at: datetime
+    #: BLAKE3 of the uploaded bytes (multipart: of the canonical file list), 64 hex digits.
+    hash: str
+    id: str
+    name: str
+    #: Where the thumbnail is, once its job has succeeded.
+    thumbnail: str | None = None
