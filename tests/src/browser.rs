@@ -42,15 +42,17 @@ impl Browser {
             .map_while(Result::ok)
             .find_map(|line| line.rsplit_once("started successfully on port ")?.1.trim_end_matches('.').parse().ok())
             .expect("chromedriver says its port");
-        let http = reqwest::Client::new();
+        // From here on a panic ends the driver too.
+        let mut browser = Self { driver, session: String::new(), http: reqwest::Client::new() };
         let chrome = json!({"args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,1600"]});
         let wanted = json!({"capabilities": {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": chrome,
             "goog:loggingPrefs": {"browser": "ALL", "performance": "ALL"}}}});
         let base = format!("http://127.0.0.1:{port}/session");
-        let reply: Value =
-            http.post(&base).json(&wanted).send().await.expect("chromedriver answers").json().await.expect("JSON");
+        let request = browser.http.post(&base).json(&wanted);
+        let reply: Value = request.send().await.expect("chromedriver answers").json().await.expect("JSON");
         let id = reply["value"]["sessionId"].as_str().unwrap_or_else(|| panic!("a session: {reply}"));
-        Self { session: format!("{base}/{id}"), driver, http }
+        browser.session = format!("{base}/{id}");
+        browser
     }
 
     pub async fn go(&self, url: &str) {
