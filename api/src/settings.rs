@@ -2,6 +2,7 @@
 
 mod benchmark;
 mod choice;
+mod layers;
 mod line_space;
 mod of_job;
 mod policy;
@@ -11,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 pub use benchmark::{BenchmarkPreset, BenchmarkSettings, Configuration, Effect, file_name, validate_acceleration};
+pub use layers::AovName;
 pub use line_space::{Ask, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget};
 pub use of_job::{BuildSettings, JobSettings};
 pub use policy::{Adaptive, BouncePolicy, OriginNode, OriginObject, Policy, Representative, RepresentativeOrigin};
@@ -43,7 +45,7 @@ pub struct RenderSettings {
     pub lights: Vec<Light>,
     pub ground: Option<Ground>,
     pub outputs: Vec<Output>,
-    /// First-hit layers for the EXR.
+    /// Layers for the EXR.
     pub aovs: Vec<AovName>,
     pub tone_map: ToneMap,
     /// Stops: the picture is multiplied by `2^exposure` before tone mapping; -32 to 32.
@@ -213,21 +215,6 @@ impl Default for Ground {
 pub enum Output {
     Png,
     Exr,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum AovName {
-    Depth,
-    Position,
-    GeometricNormal,
-    ShadingNormal,
-    Albedo,
-    InstanceId,
-    PrimitiveId,
-    MaterialId,
-    BoxTests,
-    TriangleTests,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

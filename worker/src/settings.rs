@@ -189,6 +189,10 @@ fn aov(name: api::AovName) -> Aov {
         api::AovName::MaterialId => Aov::MaterialId,
         api::AovName::BoxTests => Aov::BoxTests,
         api::AovName::TriangleTests => Aov::TriangleTests,
+        api::AovName::LineSpaceGamma => Aov::LineSpaceGamma,
+        api::AovName::LineSpaceAnswer => Aov::LineSpaceAnswer,
+        api::AovName::LineSpaceLookUps => Aov::LineSpaceLookUps,
+        api::AovName::LineSpaceSkipped => Aov::LineSpaceSkipped,
     }
 }
 

@@ -81,6 +81,7 @@ impl RenderSettings {
         c.check(no_repeats(&self.outputs), "outputs", "must not name an output twice");
         c.check(no_repeats(&self.aovs), "aovs", "must not name a layer twice");
         c.check(self.lights.len() <= MAX_LIGHTS, "lights", "must be at most 1024 lights");
+        self.validate_layers(&mut c);
         self.validate_split(&mut c);
         let of_acceleration = format!("{prefix}/acceleration");
         self.acceleration.validate(&of_acceleration, &mut errors);

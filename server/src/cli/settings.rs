@@ -68,7 +68,7 @@ pub(crate) struct SettingsArgs {
     /// Stops.
     #[arg(long, allow_hyphen_values = true)]
     exposure: Option<f32>,
-    /// First-hit layers for the EXR, such as depth,albedo.
+    /// Layers for the EXR, such as depth,albedo,line_space_answer.
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     aovs: Vec<String>,
     /// Stop after so many seconds with the samples there are.

@@ -450,6 +450,10 @@ fn output(s: &RenderSettings) -> Section {
         "material_id",
         "box_tests",
         "triangle_tests",
+        "line_space_gamma",
+        "line_space_answer",
+        "line_space_look_ups",
+        "line_space_skipped",
     ];
     let tone_maps = [("pbr_neutral", "Khronos PBR Neutral"), ("agx", "AgX"), ("none", "None: clamp to 0..1")];
     let fields = vec![
@@ -478,7 +482,7 @@ fn output(s: &RenderSettings) -> Section {
             "/settings/aovs",
             "Layers",
             "",
-            "First-hit layers for the EXR.",
+            "For the EXR: of first hits, and what Line Spaces did for the first sample's rays.",
             Control::Several { options: options(&s.aovs, &layers, &[]) },
         ),
     ];

@@ -9,9 +9,10 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// `values` must hold `width * height` values; crate-internal callers make it so.
-    pub(crate) fn new(width: usize, height: usize, values: Vec<f32>) -> Self {
-        debug_assert_eq!(values.len(), width * height);
+    /// # Panics
+    /// When there are not `width * height` values.
+    pub fn new(width: usize, height: usize, values: Vec<f32>) -> Self {
+        assert_eq!(values.len(), width * height, "values of {width} x {height} pixels");
         Self { width, height, values }
     }
 

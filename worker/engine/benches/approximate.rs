@@ -28,8 +28,7 @@ use lightshaft_engine::accel::{
 use lightshaft_engine::pack::placements;
 use lightshaft_engine::scene::{Limits, Params, Scene, generate, import_file};
 use lightshaft_engine::trace::{Counters, Hit, Ray};
-use points::{AcceptAll, ao_rays, shadow_rays, surface_points};
-use rayon::prelude::*;
+use points::{AcceptAll, ao_rays, shadow_rays, surface_points, trace};
 
 /// Rays of a point, next to each other in every set.
 const EACH: usize = 8;
@@ -162,30 +161,6 @@ fn shine(scene: &Scene, hit: &Hit) -> f32 {
     0.5 + 0.5 * normal.y.abs()
 }
 
-/// Traces all rays on all cores: seconds, what each says, and what it took.
-fn trace(
-    accel: &SceneAccel,
-    rays: &[Ray],
-    ask: &(impl Fn(&SceneAccel, &Ray, &mut Counters) -> f32 + Sync),
-) -> (f64, Vec<f32>, Counters) {
-    let (seconds, parts) = timed(|| {
-        rays.par_chunks(4096)
-            .map(|rays| {
-                let mut counters = Counters::default();
-                let said: Vec<f32> = rays.iter().map(|ray| ask(accel, ray, &mut counters)).collect();
-                (said, counters)
-            })
-            .collect::<Vec<_>>()
-    });
-    let mut counters = Counters::default();
-    let mut said = Vec::with_capacity(rays.len());
-    for (part, counted) in parts {
-        said.extend(part);
-        counters += counted;
-    }
-    (seconds, said, counters)
-}
-
 fn compare(
     kind: &str,
     plain: &SceneAccel,
@@ -194,14 +169,14 @@ fn compare(
     ask: impl Fn(&SceneAccel, &Ray, &mut Counters) -> f32 + Sync,
 ) {
     let repeats = number("--repeats", 3);
-    let (_, expected, _) = trace(plain, rays, &ask);
+    let (_, expected, _) = trace(rays, |ray, counters| ask(plain, ray, counters));
     let mut ratios = vec![vec![]; configurations.len()];
     let mut base = vec![];
     let mut outcomes = vec![None; configurations.len()];
     for _ in 0..repeats {
         for (at, configuration) in configurations.iter().enumerate() {
-            let (plain_seconds, ..) = trace(plain, rays, &ask);
-            let (seconds, said, counters) = trace(&configuration.accel, rays, &ask);
+            let (plain_seconds, ..) = trace(rays, |ray, counters| ask(plain, ray, counters));
+            let (seconds, said, counters) = trace(rays, |ray, counters| ask(&configuration.accel, ray, counters));
             base.push(rays.len() as f64 / plain_seconds / 1e6);
             ratios[at].push(plain_seconds / seconds);
             outcomes[at] = Some((errors(&said, &expected), counters));

@@ -25,8 +25,7 @@ use lightshaft_engine::accel::{BuildParams, MeshStructure, SceneAccel, SurfaceSt
 use lightshaft_engine::pack::placements;
 use lightshaft_engine::scene::{Limits, Mesh, Params, Scene, generate, import_file};
 use lightshaft_engine::trace::{Counters, Ray};
-use points::{AcceptAll, ao_rays, shadow_rays, surface_points};
-use rayon::prelude::*;
+use points::{AcceptAll, ao_rays, shadow_rays, surface_points, trace};
 
 fn main() {
     let files = values("--scene");
@@ -122,38 +121,20 @@ fn built<T>(
         .collect()
 }
 
-/// Traces all rays on all cores: seconds, which were blocked, and what it took.
-fn trace(accel: &SceneAccel, rays: &[(Ray, SurfaceStart)]) -> (f64, Vec<bool>, Counters) {
-    let (seconds, parts) = timed(|| {
-        rays.par_chunks(4096)
-            .map(|rays| {
-                let mut counters = Counters::default();
-                let occluded =
-                    |(ray, start): &(Ray, SurfaceStart)| accel.occluded_from(ray, start, &AcceptAll, &mut counters);
-                let blocked: Vec<bool> = rays.iter().map(occluded).collect();
-                (blocked, counters)
-            })
-            .collect::<Vec<_>>()
-    });
-    let mut counters = Counters::default();
-    let mut blocked = Vec::with_capacity(rays.len());
-    for (part, counted) in parts {
-        blocked.extend(part);
-        counters += counted;
-    }
-    (seconds, blocked, counters)
+fn occluded(accel: &SceneAccel, rays: &[(Ray, SurfaceStart)]) -> (f64, Vec<bool>, Counters) {
+    trace(rays, |(ray, start), counters| accel.occluded_from(ray, start, &AcceptAll, counters))
 }
 
 fn compare(kind: &str, plain: &SceneAccel, configurations: &[(&str, SceneAccel)], rays: &[(Ray, SurfaceStart)]) {
     let repeats = number("--repeats", 5);
-    let (_, expected, plain_counters) = trace(plain, rays);
+    let (_, expected, plain_counters) = occluded(plain, rays);
     let mut base = vec![];
     let mut ratios = vec![vec![]; configurations.len()];
     let mut outcomes = vec![None; configurations.len()];
     for _ in 0..repeats {
         for (at, (_, accel)) in configurations.iter().enumerate() {
-            let (plain_seconds, ..) = trace(plain, rays);
-            let (seconds, blocked, counters) = trace(accel, rays);
+            let (plain_seconds, ..) = occluded(plain, rays);
+            let (seconds, blocked, counters) = occluded(accel, rays);
             base.push(rays.len() as f64 / plain_seconds / 1e6);
             ratios[at].push(plain_seconds / seconds);
             let wrong = blocked.iter().zip(&expected).filter(|(a, b)| a != b).count();

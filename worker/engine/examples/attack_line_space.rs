@@ -4,6 +4,9 @@
 //! (along borders of patches, edges, corners and axes, from near and far) are traced with and without. Prints how many
 //! answers differ: there may be none.
 
+#[path = "../tests/common/meshes.rs"]
+mod meshes;
+
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -14,6 +17,7 @@ use lightshaft_engine::accel::line_space::{GateCounters, LineSpace, LineSpacePar
 use lightshaft_engine::accel::{BuildParams, HitFilter, MeshStructure, Placement, SceneAccel};
 use lightshaft_engine::scene::{Aabb, Limits, import_file};
 use lightshaft_engine::trace::{Counters, Hit, Ray};
+use meshes::Random;
 use rayon::prelude::*;
 
 struct AcceptAll;
@@ -21,27 +25,6 @@ struct AcceptAll;
 impl HitFilter for AcceptAll {
     fn accept(&self, _: &Ray, _: &Hit) -> bool {
         true
-    }
-}
-
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn unit(&mut self) -> f32 {
-        (self.next() >> 40) as f32 / (1 << 24) as f32
-    }
-
-    fn point(&mut self) -> Vec3 {
-        Vec3::new(self.unit(), self.unit(), self.unit())
     }
 }
 

@@ -64,7 +64,7 @@ pub struct Ground {
     pub roughness: f32,
 }
 
-/// Per-pixel quantities of the first hit of the ray through the pixel's centre.
+/// Quantities of a pixel: most of the first hit of the ray through its centre, some of what Line Spaces did for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Aov {
     /// Planar: world-space distance from the camera along its forward axis, infinite on a miss.
@@ -78,10 +78,18 @@ pub enum Aov {
     MaterialId,
     BoxTests,
     TriangleTests,
+    /// The largest gamma of the usage heuristic among the objects that the rays of the pixel's first sample come to.
+    LineSpaceGamma,
+    /// By what those rays were answered: see [`crate::integrate::usage`].
+    LineSpaceAnswer,
+    /// Shafts that they looked up.
+    LineSpaceLookUps,
+    /// Meshes and nodes that they passed by because their shaft was empty.
+    LineSpaceSkipped,
 }
 
 impl Aov {
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 14] = [
         Self::Depth,
         Self::Position,
         Self::GeometricNormal,
@@ -92,7 +100,14 @@ impl Aov {
         Self::MaterialId,
         Self::BoxTests,
         Self::TriangleTests,
+        Self::LineSpaceGamma,
+        Self::LineSpaceAnswer,
+        Self::LineSpaceLookUps,
+        Self::LineSpaceSkipped,
     ];
+
+    /// Those that any device makes.
+    pub const OF_FIRST_HIT: &[Self] = Self::ALL.split_at(10).0;
 
     /// The name in settings and in EXR layers.
     pub fn name(self) -> &'static str {
@@ -107,7 +122,16 @@ impl Aov {
             Self::MaterialId => "material_id",
             Self::BoxTests => "box_tests",
             Self::TriangleTests => "triangle_tests",
+            Self::LineSpaceGamma => "line_space_gamma",
+            Self::LineSpaceAnswer => "line_space_answer",
+            Self::LineSpaceLookUps => "line_space_look_ups",
+            Self::LineSpaceSkipped => "line_space_skipped",
         }
+    }
+
+    /// Whether it tells what Line Spaces did for all rays of the pixel's first sample. The CPU device makes these.
+    pub fn is_of_line_space(self) -> bool {
+        !Self::OF_FIRST_HIT.contains(&self)
     }
 
     pub fn from_name(name: &str) -> Option<Self> {

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal, TypeAlias
 
+#: A layer of the EXR. The first ten tell of the first hit of the ray through the pixel's centre, the others what Line
+#: Spaces did for all rays of the pixel's first sample.
 AovName = Literal[
     "depth",
     "position",
@@ -17,6 +19,10 @@ AovName = Literal[
     "material_id",
     "box_tests",
     "triangle_tests",
+    "line_space_gamma",
+    "line_space_answer",
+    "line_space_look_ups",
+    "line_space_skipped",
 ]
 
 #: Which Line Spaces policy `exact` asks before the structure of their mesh is walked. The answers are the same.
@@ -587,7 +593,7 @@ class RenderSettings:
     ao_distance: float | None = None
     #: Rays of ambient occlusion per pixel sample, 1 to 1024.
     ao_samples: int | None = None
-    #: First-hit layers for the EXR.
+    #: Layers for the EXR.
     aovs: list[AovName] | None = None
     #: A camera of the scene by name or number, or one given here; null takes the scene's first, or frames the scene.
     camera: CameraChoice | None = None

@@ -1,11 +1,13 @@
-//! Points on what cameras around a scene see, and the rays that renderers send from there: the same in every run.
+//! Points on what cameras around a scene see, and the rays that renderers send from there: the same in every run; and
+//! tracing them.
 
 use glam::Vec3;
 use lightshaft_engine::accel::{HitFilter, SceneAccel, SurfaceStart};
 use lightshaft_engine::scene::Scene;
 use lightshaft_engine::trace::{Counters, Hit, Ray};
+use rayon::prelude::*;
 
-use crate::Random;
+use crate::{Random, timed};
 
 pub(crate) struct AcceptAll;
 
@@ -101,4 +103,27 @@ pub(crate) fn ao_rays(points: &[Point]) -> Vec<(Ray, SurfaceStart)> {
         }
     }
     rays
+}
+
+/// Asks about all rays on all cores: seconds, what each says, and what it took.
+pub(crate) fn trace<R: Sync, A: Send>(
+    rays: &[R],
+    ask: impl Fn(&R, &mut Counters) -> A + Sync,
+) -> (f64, Vec<A>, Counters) {
+    let (seconds, parts) = timed(|| {
+        rays.par_chunks(4096)
+            .map(|rays| {
+                let mut counters = Counters::default();
+                let said: Vec<A> = rays.iter().map(|ray| ask(ray, &mut counters)).collect();
+                (said, counters)
+            })
+            .collect::<Vec<_>>()
+    });
+    let mut counters = Counters::default();
+    let mut said = Vec::with_capacity(rays.len());
+    for (part, counted) in parts {
+        said.extend(part);
+        counters += counted;
+    }
+    (seconds, said, counters)
 }

@@ -78,15 +78,13 @@ pub(super) struct Approximating {
     pub rules: Approximation,
 }
 
-/// What one ray asks.
-#[derive(Clone, Copy)]
-pub(super) enum Question<'a> {
-    /// Whether a shaft of the deepest cut holds something.
-    Blocked { exact_origin: bool },
-    /// The same of the cut that the heuristic chooses.
-    Adaptive { rules: &'a AdaptiveRules, purpose: Purpose },
-    /// The nearest candidate.
-    Candidate { rules: &'a CandidateRules },
+/// What one ray asks. Small and plain, and only lent, never copied: so rays of objects that are exact pay nearly nothing for it.
+pub(super) struct Question<'a> {
+    pub asked: &'a Approximating,
+    policy: BouncePolicy,
+    /// Of adaptive: the light's size by its distance, times delta.
+    scale: f32,
+    is_ambient: bool,
 }
 
 impl Approximating {
@@ -97,22 +95,24 @@ impl Approximating {
     }
 
     /// What an occlusion ray asks; none for one that is to be exact.
+    #[inline(always)]
     pub(super) fn occlusion(&self, purpose: Purpose) -> Option<Question<'_>> {
-        match self.policy(purpose.bounce) {
-            BouncePolicy::Exact | BouncePolicy::Representative => None,
-            BouncePolicy::Occlusion => Some(Question::Blocked { exact_origin: self.rules.exact_origin }),
-            BouncePolicy::Adaptive => {
-                let rules = &self.rules.adaptive;
-                let is_asked = rules.delta > 0.0 && (purpose.light > 0.0 || !rules.exact_origin);
-                is_asked.then_some(Question::Adaptive { rules, purpose })
-            }
-        }
+        let (rules, policy) = (&self.rules, self.policy(purpose.bounce));
+        let Purpose { light, is_ambient, .. } = purpose;
+        let is_asked = match policy {
+            BouncePolicy::Exact | BouncePolicy::Representative => false,
+            BouncePolicy::Occlusion => true,
+            BouncePolicy::Adaptive => rules.adaptive.delta > 0.0 && (light > 0.0 || !rules.adaptive.exact_origin),
+        };
+        is_asked.then_some(Question { asked: self, policy, scale: light * rules.adaptive.delta, is_ambient })
     }
 
     /// What a ray asks that looks for its nearest hit.
+    #[inline(always)]
     pub(super) fn nearest(&self, bounce: u32) -> Option<Question<'_>> {
-        let may = bounce > 0 && self.policy(bounce) == BouncePolicy::Representative;
-        may.then_some(Question::Candidate { rules: &self.rules.candidates })
+        let policy = self.policy(bounce);
+        let may = bounce > 0 && policy == BouncePolicy::Representative;
+        may.then_some(Question { asked: self, policy, scale: 0.0, is_ambient: false })
     }
 
     pub(super) fn spaces(&self, structure: u32) -> Option<&NodeSpaces> {
@@ -133,27 +133,27 @@ impl Question<'_> {
     #[inline(always)]
     fn plan(&self, spaces: &NodeSpaces, ray: &Ray) -> Option<Plan> {
         let deepest = spaces.params().depth;
-        match *self {
-            Question::Blocked { exact_origin } => Some(Plan { depth: deepest, exact_origin, shift: Vec3::ZERO }),
-            Question::Candidate { rules } => {
-                Some(Plan { depth: deepest, exact_origin: rules.exact_origin, shift: Vec3::ZERO })
-            }
-            Question::Adaptive { rules, purpose } => {
+        let at_deepest = |exact_origin| Some(Plan { depth: deepest, exact_origin, shift: Vec3::ZERO });
+        match self.policy {
+            BouncePolicy::Exact => None,
+            BouncePolicy::Occlusion => at_deepest(self.asked.rules.exact_origin),
+            BouncePolicy::Representative => at_deepest(self.asked.rules.candidates.exact_origin),
+            BouncePolicy::Adaptive => {
+                let rules = &self.asked.rules.adaptive;
                 let gap = gap_squared(spaces, ray);
                 if gap == 0.0 && !rules.exact_origin {
-                    return Some(Plan { depth: deepest, exact_origin: true, shift: Vec3::ZERO });
+                    return at_deepest(true);
                 }
-                let scale = purpose.light * rules.delta;
                 // Most objects are found near enough here, without a root; also where it is not a number.
-                let is_far = gap * (scale * scale) >= 1.0;
+                let is_far = gap * (self.scale * self.scale) >= 1.0;
                 if !is_far {
                     return None;
                 }
-                let gamma = gap.sqrt() * scale;
+                let gamma = gap.sqrt() * self.scale;
                 let fraction = if rules.interpolate { chance(ray, 1) } else { 0.0 };
                 // The cast saturates.
                 let depth = ((deepest as f32 + 1.0 - gamma + fraction) as u32).min(deepest);
-                let shift = if rules.disc && purpose.is_ambient {
+                let shift = if rules.disc && self.is_ambient {
                     let n = spaces.params().each.n as f32;
                     let radius = (gamma - 1.0).min(1.0) * spaces.bounds().extent().max_element();
                     on_disc(ray, 0.5 * radius / (n * (1 << (depth / 3)) as f32))
@@ -163,6 +163,51 @@ impl Question<'_> {
                 Some(Plan { depth, exact_origin: true, shift })
             }
         }
+    }
+}
+
+/// Looks for the largest gamma of the objects that an occlusion ray comes to. Nothing asks for it while a picture is made.
+pub(super) struct GammaSearch<'a> {
+    scene: Scene<'a>,
+    approximating: &'a Approximating,
+    ray: &'a Ray,
+    /// The light's size by its distance, times delta.
+    scale: f32,
+    pub largest: f32,
+}
+
+impl<'a> GammaSearch<'a> {
+    /// None where the policy is not adaptive.
+    pub(super) fn new(
+        scene: Scene<'a>,
+        approximating: &'a Approximating,
+        purpose: Purpose,
+        ray: &'a Ray,
+    ) -> Option<Self> {
+        let is_adaptive = approximating.policy(purpose.bounce) == BouncePolicy::Adaptive;
+        let scale = purpose.light * approximating.rules.adaptive.delta;
+        is_adaptive.then_some(Self { scene, approximating, ray, scale, largest: 0.0 })
+    }
+
+    pub(super) fn meet(&mut self, number: u32, object_ray: &Ray) {
+        let (structure, filtered) = self.scene.structure_of(number);
+        if let (Some(spaces), false) = (self.approximating.spaces(structure), filtered) {
+            self.largest = self.largest.max(gap_squared(spaces, object_ray).sqrt() * self.scale);
+        }
+    }
+}
+
+impl LeafVisitor for GammaSearch<'_> {
+    fn visit(&mut self, entries: std::ops::Range<usize>) -> bool {
+        for entry in entries {
+            let (number, object_ray) = self.scene.entry(entry, self.ray, self.ray.t_max);
+            self.meet(number, &object_ray);
+        }
+        false
+    }
+
+    fn t_limit(&self) -> f32 {
+        self.ray.t_max
     }
 }
 
@@ -184,8 +229,7 @@ fn on_disc(ray: &Ray, radius: f32) -> Vec3 {
 /// A ray on its way through a scene of instances.
 pub(super) struct InstanceWalk<'a, S> {
     pub scene: Scene<'a>,
-    pub approximating: &'a Approximating,
-    pub question: Question<'a>,
+    pub question: &'a Question<'a>,
     pub ray: &'a Ray,
     pub filter: &'a dyn HitFilter,
     pub sink: &'a mut S,
@@ -196,7 +240,7 @@ impl<S: Sink> InstanceWalk<'_, S> {
     #[inline(always)]
     pub(super) fn enter(&mut self, number: u32, object_ray: &Ray) -> bool {
         let (structure, filtered) = self.scene.structure_of(number);
-        let spaces = if filtered { None } else { self.approximating.spaces(structure) };
+        let spaces = if filtered { None } else { self.question.asked.spaces(structure) };
         if let (Some(spaces), Structure::Bvh(bvh)) = (spaces, self.scene.structure(structure))
             && let Some(plan) = self.question.plan(spaces, object_ray)
         {
@@ -230,7 +274,7 @@ pub(super) struct ObjectWalk<'a> {
     pub spaces: &'a NodeSpaces,
     pub bvh: &'a MeshStructure,
     pub kernels: Kernels,
-    pub question: Question<'a>,
+    pub question: &'a Question<'a>,
     pub number: u32,
 }
 
@@ -294,7 +338,8 @@ impl<S: Sink> NodeVisitor<'_, S> {
             Location::Through(chord) => chord,
         };
         let gates = &mut self.counters.gates;
-        if let Question::Candidate { rules } = self.walk.question {
+        if self.walk.question.policy == BouncePolicy::Representative {
+            let rules = &self.walk.question.asked.rules.candidates;
             gates.node_look_ups += 1;
             gates.approximated += 1;
             let Shafts::Candidates(candidates) = shafts else { return self.exactly(space) };

@@ -215,37 +215,37 @@ impl SceneAccel {
     /// Like [`Self::closest`], of a ray that leaves its `bounce`-th bounce (0: the camera), with what the scene takes for true of it.
     /// A hit on a candidate may lie outside of its triangle.
     pub fn nearest(&self, ray: &Ray, bounce: u32, filter: &dyn HitFilter, counters: &mut Counters) -> Option<Hit> {
-        let Some((approximating, question)) = self.question(|approximating| approximating.nearest(bounce)) else {
+        let Some(question) = self.approximating.as_ref().and_then(|asked| asked.nearest(bounce)) else {
             return self.closest(ray, filter, counters);
         };
         let nothing = Hit { t: ray.t_max, u: 0.0, v: 0.0, instance: 0, primitive: 0 };
         let mut sink = Closest { best: nothing, found: false };
-        self.walk_nodes(approximating, question, ray, filter, &mut sink, counters);
+        self.walk_nodes(&question, ray, filter, &mut sink, counters);
         sink.found.then_some(sink.best)
     }
 
     /// Like [`Self::occluded`], with what the scene takes for true of rays for this purpose.
     pub fn blocked(&self, ray: &Ray, purpose: Purpose, filter: &dyn HitFilter, counters: &mut Counters) -> bool {
-        match self.question(|approximating| approximating.occlusion(purpose)) {
+        match self.approximating.as_ref().and_then(|asked| asked.occlusion(purpose)) {
             None => self.occluded(ray, filter, counters),
-            Some((approximating, question)) => {
-                self.walk_nodes(approximating, question, ray, filter, &mut Any { t_max: ray.t_max }, counters)
-            }
+            Some(question) => self.walk_nodes(&question, ray, filter, &mut Any { t_max: ray.t_max }, counters),
         }
     }
 
-    fn question<'a>(
-        &'a self,
-        ask: impl FnOnce(&'a Approximating) -> Option<Question<'a>>,
-    ) -> Option<(&'a Approximating, Question<'a>)> {
-        let approximating = self.approximating.as_ref()?;
-        Some((approximating, ask(approximating)?))
+    /// The largest gamma of the objects that a ray for this purpose comes to (thesis, section 8.3.2); 0 where its policy is not
+    /// adaptive.
+    pub(crate) fn largest_gamma(&self, ray: &Ray, purpose: Purpose) -> f32 {
+        match (&self.form, &self.approximating) {
+            (Form::TwoLevel(top), Some(approximating)) => {
+                top.scene(&self.structures, &self.gates, self.kernels).largest_gamma(approximating, purpose, ray)
+            }
+            _ => 0.0,
+        }
     }
 
     fn walk_nodes(
         &self,
-        approximating: &Approximating,
-        question: Question<'_>,
+        question: &Question<'_>,
         ray: &Ray,
         filter: &dyn HitFilter,
         sink: &mut impl Sink,
@@ -254,11 +254,11 @@ impl SceneAccel {
         match &self.form {
             Form::TwoLevel(top) => {
                 let scene = top.scene(&self.structures, &self.gates, self.kernels);
-                scene.walk_nodes(approximating, question, ray, filter, sink, counters)
+                scene.walk_nodes(question, ray, filter, sink, counters)
             }
             Form::Flat { names, .. } => {
                 let mut sink = NamedSink { names, filter, ray, sink };
-                let (spaces, structure) = (approximating.spaces(0), &self.structures[0]);
+                let (spaces, structure) = (question.asked.spaces(0), &self.structures[0]);
                 if let (Some(spaces), Some(bvh), false) = (spaces, structure.bvh(), names.any_filtered()) {
                     let walk = ObjectWalk { spaces, bvh, kernels: self.kernels, question, number: 0 };
                     if let Some(stopped) = walk.ask(ray, &mut sink, counters) {

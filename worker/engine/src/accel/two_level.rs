@@ -7,7 +7,7 @@
 use glam::{Affine3A, DMat3, Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::approximate::{Approximating, InstanceWalk, Question};
+use super::approximate::{Approximating, GammaSearch, InstanceWalk, Purpose, Question};
 use super::bvh2::Bvh2;
 use super::compressed::CompressedBvh;
 use super::line_space::{Gates, Verdict};
@@ -150,15 +150,14 @@ impl Scene<'_> {
     /// A walk that ends at the Line Spaces of nodes, as `question` asks.
     pub(super) fn walk_nodes(
         &self,
-        approximating: &Approximating,
-        question: Question<'_>,
+        question: &Question<'_>,
         ray: &Ray,
         filter: &dyn HitFilter,
         sink: &mut impl Sink,
         counters: &mut Counters,
     ) -> bool {
         let counted = Counters::default();
-        let mut walk = InstanceWalk { scene: *self, approximating, question, ray, filter, sink, counters: counted };
+        let mut walk = InstanceWalk { scene: *self, question, ray, filter, sink, counters: counted };
         let stopped = match self.top.only {
             Some(only) => walk.enter(only, ray),
             None => {
@@ -168,6 +167,19 @@ impl Scene<'_> {
         };
         counters.add_walk(&walk.counters);
         stopped
+    }
+
+    /// The largest gamma of the objects that a ray comes to.
+    pub(super) fn largest_gamma(&self, approximating: &Approximating, purpose: Purpose, ray: &Ray) -> f32 {
+        let Some(mut search) = GammaSearch::new(*self, approximating, purpose, ray) else { return 0.0 };
+        match (self.top.only, ObjectRay::new(ray, &self.top.bounds)) {
+            (Some(only), _) => search.meet(only, ray),
+            (None, Some(world_ray)) => {
+                self.kernels.walk_top(&self.top.wide_top.nodes, &world_ray, &mut search, &mut Counters::default());
+            }
+            (None, None) => {}
+        }
+        search.largest
     }
 
     /// The structure of an instance, and whether its hits are filtered.

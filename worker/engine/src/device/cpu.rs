@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::{Device, DeviceError, DeviceInfo, Pass, PassStats, Region, Renderer, Watch};
 use crate::film::{AovBuffers, PassFilm};
 use crate::integrate::aov::first_hit;
+use crate::integrate::usage::usage;
 use crate::integrate::{Sample, Tally, radiance};
 use crate::pack::PackedScene;
 use crate::settings::{Integrator, RenderSettings};
@@ -91,12 +92,19 @@ impl Renderer for CpuRenderer {
     fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
         region.check_within(out.region)?;
         let started = Instant::now();
-        let scene = &*self.scene;
-        let tiles = for_tiles(region, watch, |x, y, tally| first_hit(scene, x, y, tally))?;
+        let (scene, integrator, seed) = (&*self.scene, self.integrator, self.seed);
         let mut stats = PassStats::default();
-        for tile in tiles {
-            add(&mut stats, &tile.tally);
-            out.store_hits(tile.region, &tile.values);
+        if out.layers.iter().any(|(aov, _)| !aov.is_of_line_space()) {
+            for tile in for_tiles(region, watch, |x, y, tally| first_hit(scene, x, y, tally))? {
+                add(&mut stats, &tile.tally);
+                out.store_hits(tile.region, &tile.values);
+            }
+        }
+        if out.layers.iter().any(|(aov, _)| aov.is_of_line_space()) {
+            for tile in for_tiles(region, watch, |x, y, tally| usage(scene, integrator, x, y, seed, tally))? {
+                add(&mut stats, &tile.tally);
+                out.store_usage(tile.region, &tile.values);
+            }
         }
         stats.seconds = started.elapsed().as_secs_f64();
         Ok(stats)
@@ -234,7 +242,8 @@ mod tests {
         let mut aovs = |region| {
             let mut out = AovBuffers::new(region, &Aov::ALL);
             let stats = renderer.aovs(region, &mut out, &|| false).expect("not cancelled");
-            assert_eq!(stats.rays.primary, region.pixels() as u64);
+            // One through each pixel's centre, and one of its first sample.
+            assert_eq!(stats.rays.primary, 2 * region.pixels() as u64);
             assert!(stats.counters.box_tests > 0);
             out
         };

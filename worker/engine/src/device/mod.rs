@@ -161,7 +161,7 @@ pub trait Renderer: Send {
     /// Adds the pass's samples to the film.
     fn render(&mut self, pass: &Pass, film: &mut PassFilm, watch: &dyn Watch) -> Result<PassStats, DeviceError>;
 
-    /// First-hit AOVs of a region, through pixel centres.
+    /// AOVs of a region: of first hits through pixel centres; on the CPU also what Line Spaces did for the first sample.
     fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError>;
 
     /// Bytes that the device holds for this scene.

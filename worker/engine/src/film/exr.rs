@@ -1,8 +1,8 @@
 //! OpenEXR files for further work: linear radiance and named layers.
 //!
 //! One part with channels `R`, `G`, `B` and, for each AOV, `<layer>.<channel>` (`depth.Z`, `position.X`, `albedo.R`,
-//! `instance_id.I`, ...), the naming that viewers and compositors group layers by. Depth is planar, along the camera's
-//! axis. Radiance and vectors are 32-bit
+//! `instance_id.I`, `line_space_gamma.Y`, ...), the naming that viewers and compositors group layers by. Depth is planar,
+//! along the camera's axis. Radiance and vectors are 32-bit
 //! floats, ids and counts unsigned 32-bit integers. ZIP compression, no loss.
 
 use std::io::Cursor;
@@ -37,10 +37,12 @@ pub fn encode_exr(
         super::check_size(width, height, count)?;
         match layer {
             AovLayer::Scalar(v) => {
-                channels.push(AnyChannel::new(text(&format!("{name}.Z"))?, FlatSamples::F32(v.clone())));
+                let letter = if *aov == Aov::Depth { "Z" } else { "Y" };
+                channels.push(AnyChannel::new(text(&format!("{name}.{letter}"))?, FlatSamples::F32(v.clone())));
             }
             AovLayer::Vector(v) => {
-                let letters = if *aov == Aov::Albedo { ["R", "G", "B"] } else { ["X", "Y", "Z"] };
+                let is_color = matches!(aov, Aov::Albedo | Aov::LineSpaceAnswer);
+                let letters = if is_color { ["R", "G", "B"] } else { ["X", "Y", "Z"] };
                 push_vector(&mut channels, &format!("{name}."), letters, v);
             }
             AovLayer::Integer(v) => {
@@ -124,9 +126,13 @@ mod tests {
         }
         for (aov, layer) in &aovs.layers {
             match layer {
-                AovLayer::Scalar(v) => assert_eq!(find("depth.Z"), FlatSamples::F32(v.clone())),
+                AovLayer::Scalar(v) => {
+                    let letter = if *aov == Aov::Depth { "Z" } else { "Y" };
+                    assert_eq!(find(&format!("{}.{letter}", aov.name())), FlatSamples::F32(v.clone()));
+                }
                 AovLayer::Vector(v) => {
-                    let letter = if *aov == Aov::Albedo { "G" } else { "Y" };
+                    let is_color = matches!(aov, Aov::Albedo | Aov::LineSpaceAnswer);
+                    let letter = if is_color { "G" } else { "Y" };
                     let expected = FlatSamples::F32(v.iter().map(|v| v[1]).collect());
                     assert_eq!(find(&format!("{}.{letter}", aov.name())), expected);
                 }

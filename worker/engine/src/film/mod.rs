@@ -16,6 +16,7 @@ pub use tonemap::{ToneMap, linear_to_srgb, to_srgb8};
 
 use crate::device::Region;
 use crate::integrate::aov::FirstHit;
+use crate::integrate::usage::Usage;
 use crate::settings::Aov;
 
 /// A picture that could not be encoded.
@@ -53,7 +54,7 @@ impl PassFilm {
     }
 }
 
-/// One layer of first-hit values for a region, row-major.
+/// One layer of values for a region, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AovLayer {
     Scalar(Vec<f32>),
@@ -76,11 +77,14 @@ impl AovBuffers {
             .map(|&aov| {
                 let layer = match aov {
                     Aov::Depth => AovLayer::Scalar(vec![f32::INFINITY; n]),
-                    Aov::Position | Aov::GeometricNormal | Aov::ShadingNormal | Aov::Albedo => {
+                    Aov::LineSpaceGamma => AovLayer::Scalar(vec![0.0; n]),
+                    Aov::Position | Aov::GeometricNormal | Aov::ShadingNormal | Aov::Albedo | Aov::LineSpaceAnswer => {
                         AovLayer::Vector(vec![[0.0; 3]; n])
                     }
                     Aov::InstanceId | Aov::PrimitiveId | Aov::MaterialId => AovLayer::Integer(vec![u32::MAX; n]),
-                    Aov::BoxTests | Aov::TriangleTests => AovLayer::Integer(vec![0; n]),
+                    Aov::BoxTests | Aov::TriangleTests | Aov::LineSpaceLookUps | Aov::LineSpaceSkipped => {
+                        AovLayer::Integer(vec![0; n])
+                    }
                 };
                 (aov, layer)
             })
@@ -90,9 +94,18 @@ impl AovBuffers {
 
     /// Writes what the pixels of `region`, which lies within this one, see first; row-major.
     pub(crate) fn store_hits(&mut self, region: Region, hits: &[FirstHit]) {
-        for (aov, layer) in &mut self.layers {
+        for (aov, layer) in self.layers.iter_mut().filter(|(aov, _)| !aov.is_of_line_space()) {
             for (i, hit) in region.places_in(self.region).zip(hits) {
                 hit.store(*aov, layer, i);
+            }
+        }
+    }
+
+    /// Writes what Line Spaces did for the pixels of `region`, likewise.
+    pub(crate) fn store_usage(&mut self, region: Region, usage: &[Usage]) {
+        for (aov, layer) in self.layers.iter_mut().filter(|(aov, _)| aov.is_of_line_space()) {
+            for (i, usage) in region.places_in(self.region).zip(usage) {
+                usage.store(*aov, layer, i);
             }
         }
     }

@@ -20,7 +20,7 @@ pub fn ao_radiance(scene: &PackedScene, sample: Sample, samples: u32, distance: 
     let ray = primary_ray(scene, sample);
     tally.rays.primary += 1;
     let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 0) };
-    let Some(hit) = scene.accel.closest(&ray, &filter, &mut tally.counters) else {
+    let Some(hit) = tally.nearest(scene, &ray, 0, &filter) else {
         return Vec3::ONE;
     };
     let surface = shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction);
@@ -40,7 +40,7 @@ pub fn ao_radiance(scene: &PackedScene, sample: Sample, samples: u32, distance: 
         let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 1 + k) };
         tally.rays.ao += 1;
         let purpose = Purpose { bounce: 0, light: 1.0, is_ambient: true };
-        if !scene.accel.blocked(&ray, purpose, &filter, &mut tally.counters) {
+        if !tally.blocked(scene, &ray, purpose, &filter) {
             open += 1;
         }
     }

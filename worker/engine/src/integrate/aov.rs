@@ -104,7 +104,7 @@ pub fn first_hit(scene: &PackedScene, x: u32, y: u32, tally: &mut Tally) -> Firs
 pub fn normal_radiance(scene: &PackedScene, sample: Sample, tally: &mut Tally) -> Vec3 {
     let ray = primary_ray(scene, sample);
     tally.rays.primary += 1;
-    match scene.accel.closest(&ray, &AlphaFilter { scene, seed: SEED_HALF }, &mut tally.counters) {
+    match tally.nearest(scene, &ray, 0, &AlphaFilter { scene, seed: SEED_HALF }) {
         Some(hit) => shade_point(scene, &hit_point(scene, &ray, &hit), -ray.direction).normal * 0.5 + Vec3::splat(0.5),
         None => Vec3::ZERO,
     }

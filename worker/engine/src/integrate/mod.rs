@@ -16,6 +16,7 @@ pub mod path;
 pub mod sampler;
 pub mod surface;
 pub mod texture;
+pub mod usage;
 pub mod whitted;
 
 #[cfg(test)]
@@ -23,10 +24,13 @@ pub(crate) mod tests;
 
 use glam::Vec3;
 
+use self::alpha::AlphaFilter;
+use self::usage::Usage;
+use crate::accel::Purpose;
 use crate::device::RayCounts;
 use crate::pack::PackedScene;
 use crate::settings::Integrator;
-use crate::trace::{Counters, Ray};
+use crate::trace::{Counters, Hit, Ray};
 
 /// Which sample of which pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,10 +43,41 @@ pub struct Sample {
 }
 
 /// Rays traced and the work they did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tally {
     pub rays: RayCounts,
     pub counters: Counters,
+    /// What Line Spaces did for them, where someone wants to know.
+    usage: Option<Usage>,
+}
+
+impl Tally {
+    /// The nearest hit of a ray that leaves its `bounce`-th bounce (0: the camera).
+    #[inline]
+    fn nearest(&mut self, scene: &PackedScene, ray: &Ray, bounce: u32, filter: &AlphaFilter<'_>) -> Option<Hit> {
+        let Some(usage) = &mut self.usage else {
+            return scene.accel.nearest(ray, bounce, filter, &mut self.counters);
+        };
+        let mut counters = Counters::default();
+        let hit = scene.accel.nearest(ray, bounce, filter, &mut counters);
+        usage.add(&counters, false);
+        self.counters += counters;
+        hit
+    }
+
+    /// Whether an occlusion ray is blocked.
+    #[inline]
+    fn blocked(&mut self, scene: &PackedScene, ray: &Ray, purpose: Purpose, filter: &AlphaFilter<'_>) -> bool {
+        let Some(usage) = &mut self.usage else {
+            return scene.accel.blocked(ray, purpose, filter, &mut self.counters);
+        };
+        let mut counters = Counters::default();
+        let is_blocked = scene.accel.blocked(ray, purpose, filter, &mut counters);
+        usage.add(&counters, is_blocked);
+        usage.meet(scene.accel.largest_gamma(ray, purpose));
+        self.counters += counters;
+        is_blocked
+    }
 }
 
 /// The camera's ray of a sample: uniform over the pixel (a box filter of one pixel).

@@ -78,7 +78,7 @@ pub fn path_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, tall
             tally.rays.indirect += 1;
         }
         let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * state.bounce) };
-        let Some(hit) = scene.accel.nearest(&state.ray, state.bounce, &filter, &mut tally.counters) else {
+        let Some(hit) = tally.nearest(scene, &state.ray, state.bounce, &filter) else {
             path_miss(scene, &mut state);
             break;
         };
@@ -88,7 +88,7 @@ pub fn path_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, tall
             tally.rays.shadow += 1;
             let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * bounce + 1) };
             let purpose = Purpose { bounce, light: shadow.light, is_ambient: false };
-            if !scene.accel.blocked(&shadow.ray, purpose, &filter, &mut tally.counters) {
+            if !tally.blocked(scene, &shadow.ray, purpose, &filter) {
                 state.radiance += shadow.contribution;
             }
         }

@@ -35,7 +35,7 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
             tally.rays.indirect += 1;
         }
         let filter = AlphaFilter { scene, seed: alpha_seed(seed, sample.index, 2 * bounce) };
-        let Some(hit) = scene.accel.nearest(&ray, bounce, &filter, &mut tally.counters) else {
+        let Some(hit) = tally.nearest(scene, &ray, bounce, &filter) else {
             if scene.environment.light != NONE {
                 radiance += throughput * environment_radiance(scene, ray.direction);
             }
@@ -66,7 +66,7 @@ pub fn whitted_radiance(scene: &PackedScene, sample: Sample, max_bounces: u32, t
                 let ray = shadow_ray(&surface, &light);
                 let apparent = apparent_size(scene, numbers[0], light.distance);
                 let purpose = Purpose { bounce, light: apparent, is_ambient: false };
-                if !scene.accel.blocked(&ray, purpose, &filter, &mut tally.counters) {
+                if !tally.blocked(scene, &ray, purpose, &filter) {
                     radiance += contribution;
                 }
             }

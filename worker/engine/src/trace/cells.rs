@@ -24,7 +24,7 @@ const REMEMBERED: usize = 8;
 
 /// Offers the sink what `ray` hits; true when it wants no more. Nodes whose shaft is empty are passed by.
 #[inline(always)]
-pub(super) fn walk<I: Isa, S: Sink>(
+pub(super) fn walk_cells<I: Isa, S: Sink>(
     tree: &CellTree,
     shafts: Option<&CellShafts>,
     ray: &ObjectRay,

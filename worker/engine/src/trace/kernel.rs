@@ -7,10 +7,11 @@
 use std::mem::MaybeUninit;
 use std::ops::Range;
 
+use super::cells::walk_cells;
 use super::object_ray::{BoxRay, ObjectRay};
 use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Lanes, Portable};
-use super::{Counters, Hit, cells};
+use super::{Counters, Hit};
 use crate::accel::bvh2::MAX_DEPTH;
 use crate::accel::cells::{CellShafts, CellTree};
 use crate::accel::wide::{ChildRef, Node, WIDTH, WideBvh};
@@ -131,10 +132,7 @@ fn walk_mesh<I: Isa, S: Sink>(
     sink: &mut S,
     counters: &mut Counters,
 ) -> bool {
-    let mut visitor = PacketVisitor::<I, S> { bvh, ray: PacketRay::new(ray), instance, sink, tested: 0 };
-    let stopped = walk::<I>(&bvh.nodes, ChildRef::ROOT, &BoxRay::new(ray), ray.t_min, &mut visitor, counters);
-    counters.triangle_tests += visitor.tested * crate::accel::wide::LANES as u64;
-    stopped
+    walk_mesh_from::<I, S>(bvh, &[ChildRef::ROOT], ray, instance, sink, counters)
 }
 
 /// The same of the subtrees that some references lead to. They must be those of `bvh`.
@@ -149,13 +147,20 @@ fn walk_mesh_from<I: Isa, S: Sink>(
 ) -> bool {
     let mut visitor = PacketVisitor::<I, S> { bvh, ray: PacketRay::new(ray), instance, sink, tested: 0 };
     let boxes = BoxRay::new(ray);
-    let stopped = roots.iter().any(|&root| walk::<I>(&bvh.nodes, root, &boxes, ray.t_min, &mut visitor, counters));
+    let mut stopped = false;
+    // No closure: it would be compiled for any CPU, and vectors would go through memory.
+    for &root in roots {
+        if walk::<I>(&bvh.nodes, root, &boxes, ray.t_min, &mut visitor, counters) {
+            stopped = true;
+            break;
+        }
+    }
     counters.triangle_tests += visitor.tested * crate::accel::wide::LANES as u64;
     stopped
 }
 
 #[inline(always)]
-fn walk_top<I: Isa>(nodes: &[Node], ray: &ObjectRay, visitor: &mut impl LeafVisitor, counters: &mut Counters) -> bool {
+fn walk_top<I: Isa, V: LeafVisitor>(nodes: &[Node], ray: &ObjectRay, visitor: &mut V, counters: &mut Counters) -> bool {
     walk::<I>(nodes, ChildRef::ROOT, &BoxRay::new(ray), ray.t_min, visitor, counters)
 }
 
@@ -200,128 +205,62 @@ impl Kernels {
             && is_x86_feature_detected!("popcnt")
             && is_x86_feature_detected!("lzcnt")
     }
-
-    /// Offers the sink what `ray` (in object space) hits.
-    #[inline]
-    pub(crate) fn walk_mesh<S: Sink>(
-        self,
-        bvh: &WideBvh,
-        ray: &ObjectRay,
-        instance: u32,
-        sink: &mut S,
-        counters: &mut Counters,
-    ) -> bool {
-        match self {
-            Self::Portable => walk_mesh::<Portable, S>(bvh, ray, instance, sink, counters),
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: `Avx2` is only made after the CPU was asked.
-            Self::Avx2 => unsafe { x86::walk_mesh(bvh, ray, instance, sink, counters) },
-        }
-    }
-
-    /// The same of the parts of the mesh that some references into its tree lead to.
-    #[inline]
-    pub(crate) fn walk_mesh_from<S: Sink>(
-        self,
-        bvh: &WideBvh,
-        roots: &[ChildRef],
-        ray: &ObjectRay,
-        instance: u32,
-        sink: &mut S,
-        counters: &mut Counters,
-    ) -> bool {
-        match self {
-            Self::Portable => walk_mesh_from::<Portable, S>(bvh, roots, ray, instance, sink, counters),
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: `Avx2` is only made after the CPU was asked.
-            Self::Avx2 => unsafe { x86::walk_mesh_from(bvh, roots, ray, instance, sink, counters) },
-        }
-    }
-
-    /// Offers the sink what `ray` (in object space) hits in a tree of cells, past nodes that `shafts` say nothing is met in.
-    #[inline]
-    pub(crate) fn walk_cells<S: Sink>(
-        self,
-        tree: &CellTree,
-        shafts: Option<&CellShafts>,
-        ray: &ObjectRay,
-        instance: u32,
-        sink: &mut S,
-        counters: &mut Counters,
-    ) -> bool {
-        match self {
-            Self::Portable => cells::walk::<Portable, S>(tree, shafts, ray, instance, sink, counters),
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: `Avx2` is only made after the CPU was asked.
-            Self::Avx2 => unsafe { x86::walk_cells(tree, shafts, ray, instance, sink, counters) },
-        }
-    }
-
-    /// Visits the leaves of a top level; a leaf's entries are positions in its tree's primitives.
-    #[inline]
-    pub(crate) fn walk_top(
-        self,
-        nodes: &[Node],
-        ray: &ObjectRay,
-        visitor: &mut impl LeafVisitor,
-        counters: &mut Counters,
-    ) -> bool {
-        match self {
-            Self::Portable => walk_top::<Portable>(nodes, ray, visitor, counters),
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: `Avx2` is only made after the CPU was asked.
-            Self::Avx2 => unsafe { x86::walk_top(nodes, ray, visitor, counters) },
-        }
-    }
 }
 
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    use super::{CellShafts, CellTree, ChildRef, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh, cells};
-    use crate::trace::simd::Avx2;
+/// Writes each kernel as a method of [`Kernels`], which runs it as it was compiled for the chosen instruction set.
+macro_rules! kernels {
+    ($($(#[$doc:meta])* $name:ident<$generic:ident: $bound:ident>($($arg:ident: $type:ty),* $(,)?);)*) => {
+        impl Kernels {
+            $(
+                $(#[$doc])*
+                #[inline]
+                pub(crate) fn $name<$generic: $bound>(self, $($arg: $type),*) -> bool {
+                    match self {
+                        Self::Portable => $name::<Portable, $generic>($($arg),*),
+                        #[cfg(target_arch = "x86_64")]
+                        // SAFETY: `Avx2` is only made after the CPU was asked.
+                        Self::Avx2 => unsafe { x86::$name($($arg),*) },
+                    }
+                }
+            )*
+        }
 
-    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
-    pub(super) fn walk_mesh<S: Sink>(
-        bvh: &WideBvh,
-        ray: &ObjectRay,
-        instance: u32,
-        sink: &mut S,
-        counters: &mut Counters,
-    ) -> bool {
-        super::walk_mesh::<Avx2, S>(bvh, ray, instance, sink, counters)
-    }
+        #[cfg(target_arch = "x86_64")]
+        mod x86 {
+            use super::{CellShafts, CellTree, ChildRef, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh};
+            use crate::trace::simd::Avx2;
 
-    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
-    pub(super) fn walk_mesh_from<S: Sink>(
+            $(
+                #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+                pub(super) fn $name<$generic: $bound>($($arg: $type),*) -> bool {
+                    super::$name::<Avx2, $generic>($($arg),*)
+                }
+            )*
+        }
+    };
+}
+
+kernels! {
+    /// Offers the sink what `ray` (in object space) hits.
+    walk_mesh<S: Sink>(bvh: &WideBvh, ray: &ObjectRay, instance: u32, sink: &mut S, counters: &mut Counters);
+    /// The same of the parts of the mesh that some references into its tree lead to.
+    walk_mesh_from<S: Sink>(
         bvh: &WideBvh,
         roots: &[ChildRef],
         ray: &ObjectRay,
         instance: u32,
         sink: &mut S,
         counters: &mut Counters,
-    ) -> bool {
-        super::walk_mesh_from::<Avx2, S>(bvh, roots, ray, instance, sink, counters)
-    }
-
-    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
-    pub(super) fn walk_cells<S: Sink>(
+    );
+    /// Offers the sink what `ray` (in object space) hits in a tree of cells, past nodes that `shafts` say nothing is met in.
+    walk_cells<S: Sink>(
         tree: &CellTree,
         shafts: Option<&CellShafts>,
         ray: &ObjectRay,
         instance: u32,
         sink: &mut S,
         counters: &mut Counters,
-    ) -> bool {
-        cells::walk::<Avx2, S>(tree, shafts, ray, instance, sink, counters)
-    }
-
-    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
-    pub(super) fn walk_top(
-        nodes: &[Node],
-        ray: &ObjectRay,
-        visitor: &mut impl LeafVisitor,
-        counters: &mut Counters,
-    ) -> bool {
-        super::walk_top::<Avx2>(nodes, ray, visitor, counters)
-    }
+    );
+    /// Visits the leaves of a top level; a leaf's entries are positions in its tree's primitives.
+    walk_top<V: LeafVisitor>(nodes: &[Node], ray: &ObjectRay, visitor: &mut V, counters: &mut Counters);
 }

@@ -27,7 +27,10 @@ impl ObjectRay {
     /// four times, box tests as often; the boxes grow by twice that, so that a primitive that the rounded test hits
     /// is never lost because its box was missed. (Ize 2013, "Robust BVH ray traversal", bounds the error along the ray;
     /// this also covers the error across it.)
-    #[inline]
+    ///
+    /// Always inline: written to memory by one function in pieces and read by the next as a whole, it would wait for the
+    /// stores, which costs more than all of this.
+    #[inline(always)]
     pub(crate) fn new(ray: &Ray, bounds: &Aabb) -> Option<Self> {
         // Components below the smallest normal number have no reciprocal; they cannot move a ray either.
         let flush = |v: f32| if v.abs() < f32::MIN_POSITIVE { 0.0 } else { v };

@@ -156,7 +156,7 @@ fn first_hit_layers() {
     let settings = settings(Integrator::Aov);
     let scene = packed(&everything(), &settings);
     let layers = |device: &mut dyn Device| {
-        let mut out = AovBuffers::new(Region::full(&settings), &Aov::ALL);
+        let mut out = AovBuffers::new(Region::full(&settings), Aov::OF_FIRST_HIT);
         let mut renderer = device.prepare(scene.clone(), &settings).expect("prepares");
         let stats = renderer.aovs(out.region, &mut out, &|| false).expect("renders");
         (out.layers, stats)

@@ -263,6 +263,9 @@ impl Renderer for GpuRenderer {
 
     fn aovs(&mut self, region: Region, out: &mut AovBuffers, watch: &dyn Watch) -> Result<PassStats, DeviceError> {
         region.check_within(out.region)?;
+        if let Some((aov, _)) = out.layers.iter().find(|(aov, _)| aov.is_of_line_space()) {
+            return Err(DeviceError::Other(format!("layer {} is made by the CPU device alone", aov.name())));
+        }
         let started = Instant::now();
         let mut stats = PassStats::default();
         let mut hits = Vec::with_capacity(region.pixels());
