@@ -44,7 +44,9 @@ impl Browser {
             .expect("chromedriver says its port");
         // From here on a panic ends the driver too.
         let mut browser = Self { driver, session: String::new(), http: reqwest::Client::new() };
-        let chrome = json!({"args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,1600"]});
+        // Without a GPU, WebGL is drawn in software; pages of our own are to be trusted with that.
+        let chrome = json!({"args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
+            "--disable-dev-shm-usage", "--window-size=1280,1600"]});
         let wanted = json!({"capabilities": {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": chrome,
             "goog:loggingPrefs": {"browser": "ALL", "performance": "ALL"}}}});
         let base = format!("http://127.0.0.1:{port}/session");

@@ -4,7 +4,9 @@ use askama::Template;
 use axum::extract::Path;
 use axum::response::{IntoResponse, Response};
 use jiff::Timestamp;
-use lightshaft_api::job::{Artifact, Attempt, AttemptOutcome, Job, JobState, JobSummary, Metrics, Task, TaskWork};
+use lightshaft_api::job::{
+    Artifact, Attempt, AttemptOutcome, Job, JobKind, JobState, JobSummary, Metrics, Task, TaskWork,
+};
 use lightshaft_api::page::Page as List;
 use lightshaft_api::scene::Scene;
 use lightshaft_api::settings::{Effect, JobSettings, RenderSettings};
@@ -21,6 +23,11 @@ pub(super) struct JobRow {
 impl JobRow {
     pub(super) fn is_final(&self) -> bool {
         self.job.state.is_final()
+    }
+
+    /// Whether there is a picture to compare.
+    pub(super) fn has_picture(&self) -> bool {
+        self.job.kind == JobKind::Render && self.job.state == JobState::Succeeded
     }
 
     /// Seconds from start to end, or until now.

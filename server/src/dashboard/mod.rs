@@ -10,6 +10,7 @@
 //! | `/` | overview: state, running jobs, recent pictures, workers |
 //! | `/jobs`, `/jobs/{id}` | table of jobs; one job with its picture |
 //! | `/jobs/new` | form that submits a job |
+//! | `/compare` | pictures side by side, over each other, and what sets them apart |
 //! | `/scenes`, `/scenes/{id}` | cards and upload; one scene |
 //! | `/workers` | devices, work in progress, caches |
 //! | `/meshes/{hash}` | structures that exist for a mesh |
@@ -21,6 +22,7 @@
 mod assets;
 mod benchmark;
 mod client;
+mod compare;
 mod filters;
 mod form;
 mod job;
@@ -49,6 +51,7 @@ pub fn router(api: Router) -> Router {
         .route("/jobs", get(jobs::list))
         .route("/jobs/new", get(new_job::show))
         .route("/jobs/{id}", get(job::show))
+        .route("/compare", get(compare::show))
         .route("/scenes", get(scenes::list))
         .route("/scenes/{id}", get(scenes::show))
         .route("/workers", get(workers::list))

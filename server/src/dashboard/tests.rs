@@ -50,6 +50,10 @@ fn pages() -> Vec<String> {
     pages.extend(["queued", "running", "succeeded", "failed", "cancelled"].map(|state| format!("/jobs/j-{state}")));
     pages.extend(["/jobs/new?from=j-succeeded", "/scenes", "/scenes/s1", "/workers", "/docs"].map(str::to_owned));
     pages.push(format!("/meshes/{}", fixture::HASH));
+    pages.extend(
+        ["/compare", "/compare?p=j-succeeded", "/compare?p=j-succeeded&p=j-succeeded/image.png"].map(str::to_owned),
+    );
+    pages.push(format!("/compare?p={}&p=j-succeeded&mode=swipe", fixture::HASH));
     pages
 }
 
@@ -158,7 +162,14 @@ async fn assets_answer_conditional_requests_and_old_versions() {
 
 #[tokio::test]
 async fn unknown_ids_are_html_pages_with_the_status_of_the_api() {
-    for path in ["/jobs/nothing", "/scenes/nothing", "/meshes/nothing", "/jobs/new?scene=nothing", "/jobs/a%2Fb%3Fc"] {
+    for path in [
+        "/compare?p=nothing",
+        "/jobs/nothing",
+        "/scenes/nothing",
+        "/meshes/nothing",
+        "/jobs/new?scene=nothing",
+        "/jobs/a%2Fb%3Fc",
+    ] {
         let answer = get(path).await;
         assert_eq!(answer.status, StatusCode::NOT_FOUND, "{path}");
         assert!(answer.body.contains("there is no "), "{path}: {}", answer.body);

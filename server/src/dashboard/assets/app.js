@@ -5,6 +5,8 @@ import { startUpload } from './upload.js';
 import { startViewer } from './viewer.js';
 import { startLog } from './log.js';
 import { startForm } from './form.js';
+import { startCharts } from './charts.js';
+import { startCompare } from './compare.js';
 import { hideMissingImages } from './images.js';
 
 hideMissingImages();
@@ -14,3 +16,5 @@ startUpload();
 startViewer();
 startLog();
 startForm();
+startCharts();
+startCompare();

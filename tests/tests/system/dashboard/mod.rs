@@ -1,6 +1,7 @@
 //! The dashboard in a real browser, as people use it.
 
 mod actions;
+mod compare;
 mod form;
 mod newcomer;
 mod pages;

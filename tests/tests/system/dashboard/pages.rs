@@ -11,6 +11,8 @@ async fn pages(service: &Service) -> Vec<String> {
     let scene = service.generated(&["cornell-box"]).await;
     let small = json!({"width": 32, "height": 24, "spp": 1});
     let done = service.render(&scene, small.clone()).await;
+    let layers = json!({"width": 32, "height": 24, "spp": 1, "outputs": ["exr"], "aovs": ["depth"]});
+    let other = service.render(&scene, layers).await["id"].as_str().unwrap().to_owned();
     let mesh = done["metrics"]["cache"][0]["mesh"].as_str().unwrap();
     let waiting = service.submit(&scene, json!({"device": "gpu", "adapter": "of another world"})).await;
     let cancelled = service.submit(&scene, json!({"device": "gpu", "adapter": "of another world"})).await;
@@ -20,6 +22,8 @@ async fn pages(service: &Service) -> Vec<String> {
     let mut pages = pages.map(str::to_owned).to_vec();
     pages.push(format!("/jobs/new?from={done}"));
     pages.extend([done, &waiting, &cancelled].map(|job| format!("/jobs/{job}")));
+    pages.extend(["/compare".to_owned(), format!("/compare?p={done}"), format!("/compare?p={done}&p={other}&px=9,9")]);
+    pages.push(format!("/compare?p={other}&p={other}&mode=difference&layer=depth"));
     pages.extend([format!("/scenes/{scene}"), format!("/meshes/{mesh}")]);
     pages
 }
@@ -28,6 +32,8 @@ async fn pages(service: &Service) -> Vec<String> {
 async fn complaints(browser: &Browser, service: &Service, page: &str) -> Vec<String> {
     browser.go(&format!("{}{page}", service.url())).await;
     browser.until("a heading", "return document.querySelector('h1')?.innerText").await;
+    let is_still = "const root = document.querySelector('[data-compare]'); return !root || 'ready' in root.dataset";
+    browser.until("all of it", is_still).await;
     let mut found = audit::complaints(browser).await;
     found.extend(browser.errors().await);
     let strangers = browser.requests().await.into_iter().filter(|url| !is_own(url, service));
@@ -59,7 +65,7 @@ async fn every_page_is_for_everybody_on_every_screen() {
 async fn an_empty_service_shows_how_to_begin() {
     let service = Service::start_with(&["--workers", "0"]);
     let browser = Browser::open().await;
-    for page in ["/", "/jobs", "/jobs/new", "/scenes", "/workers"] {
+    for page in ["/", "/jobs", "/jobs/new", "/scenes", "/workers", "/compare"] {
         let found = complaints(&browser, &service, page).await;
         assert!(found.is_empty(), "{}", found.join("\n"));
     }
@@ -79,6 +85,7 @@ async fn what_is_not_there_is_said_on_a_page() {
         ("/jobs/nope", "there is no job"),
         ("/scenes/nope", "there is no scene"),
         ("/meshes/nope", "there is no mesh"),
+        ("/compare?p=nope", "there is no job"),
         ("/jobs/new?from=nope", "there is no job"),
         ("/jobs?state=dreaming", "must be queued, running, succeeded, failed or cancelled"),
     ] {

@@ -1,14 +1,18 @@
 //! What a benchmark found, on its job's page: tables with whiskers, pictures and heat maps.
 
+mod scatter;
+
 use lightshaft_api::benchmark::{BenchmarkResults, Comparison, Row};
 use lightshaft_api::job::{Artifact, Job};
 use lightshaft_worker::benchmark::report::{self, RESULTS_CSV, RESULTS_JSON, RESULTS_MARKDOWN, Table};
 
+use self::scatter::Scatter;
+pub(super) use self::scatter::{HEIGHT, WIDTH};
 use super::client::{Api, escape};
 use super::page::PageError;
 
-/// Width of the whiskers' drawing, in its own units.
-const WIDTH: f64 = 1000.0;
+/// Width of the whiskers' drawing in its own units, less what the end of a whisker needs.
+const FULL: f64 = 990.0;
 
 /// A benchmark's results.
 pub(super) struct Found {
@@ -22,17 +26,17 @@ pub(super) struct Found {
 pub(super) struct Compared {
     pub(super) table: Table,
     pub(super) whiskers: Vec<Whisker>,
+    pub(super) charts: Vec<Scatter>,
     pub(super) pictures: Vec<Pair>,
 }
 
-/// Speed of one configuration: median and quartiles, in thousandths of the fastest one's upper quartile.
+/// Speed of one configuration: median and quartiles, on one scale that ends with the greatest upper quartile.
 pub(super) struct Whisker {
     pub(super) name: String,
     pub(super) label: String,
     pub(super) low: f64,
     pub(super) median: f64,
-    /// Between the quartiles.
-    pub(super) span: f64,
+    pub(super) high: f64,
 }
 
 /// A picture, and where it differs from the reference's.
@@ -57,6 +61,7 @@ impl Found {
         let compared = report::tables(&results).into_iter().zip(comparisons).map(|(table, comparison)| Compared {
             table,
             whiskers: whiskers(comparison),
+            charts: scatter::charts(comparison),
             pictures: comparison.rows.iter().filter_map(|row| pair(row, &job.artifacts)).collect(),
         });
         Ok(Some(Self {
@@ -74,13 +79,13 @@ fn whiskers(comparison: &Comparison) -> Vec<Whisker> {
     if most <= 0.0 {
         return Vec::new();
     }
-    let place = |speed: f64| speed / most * WIDTH;
+    let place = |speed: f64| speed / most * FULL;
     let whisker = |(row, speed): (&Row, lightshaft_api::benchmark::Quartiles)| Whisker {
         name: row.configuration.clone(),
         label: format!("{:.3} MRays/s, quartiles {:.3} and {:.3}", speed.median, speed.lower, speed.upper),
         low: place(speed.lower),
         median: place(speed.median),
-        span: place(speed.upper - speed.lower),
+        high: place(speed.upper),
     };
     timed().map(whisker).collect()
 }
@@ -134,8 +139,8 @@ mod tests {
             rows,
         };
         let drawn = whiskers(&comparison);
-        let places: Vec<[f64; 3]> = drawn.iter().map(|w| [w.low, w.median, w.span]).collect();
-        assert_eq!(places, [[62.5, 125.0, 187.5], [250.0, 500.0, 750.0]]);
+        let places: Vec<[f64; 3]> = drawn.iter().map(|w| [w.low, w.median, w.high]).collect();
+        assert_eq!(places, [[61.875, 123.75, 247.5], [247.5, 495.0, 990.0]]);
         assert_eq!(drawn[1].label, "4.000 MRays/s, quartiles 2.000 and 8.000");
         assert!(whiskers(&Comparison { rows: Vec::new(), ..comparison }).is_empty());
     }
