@@ -26,6 +26,11 @@ impl CliError {
         Self { code: 3, message: message.into() }
     }
 
+    /// The same, and what it is about.
+    pub(crate) fn below(self, what: &str) -> Self {
+        Self { message: format!("{what}: {}", self.message), ..self }
+    }
+
     pub(crate) fn code(&self) -> u8 {
         self.code
     }

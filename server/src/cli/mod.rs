@@ -8,6 +8,7 @@ mod compare;
 mod completions;
 mod devices;
 mod error;
+mod farm;
 mod job;
 mod logging;
 mod openapi;
@@ -64,6 +65,9 @@ enum Command {
     /// Submit, follow and fetch jobs.
     #[command(subcommand)]
     Job(job::Command),
+    /// Run suites of cases against what was accepted, and decide of what changed.
+    #[command(subcommand)]
+    Farm(farm::Command),
     /// List and drain the workers of a service.
     #[command(subcommand)]
     Workers(workers::Command),
@@ -101,6 +105,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Worker(args) => block_on(worker::run(args, global)),
         Command::Scene(command) => scene::run(command, global),
         Command::Job(command) => block_on(job::run(command, global)),
+        Command::Farm(command) => farm::run(command, global),
         Command::Workers(command) => block_on(workers::run(command, global)),
         Command::Render(args) => render::run(&args, global),
         Command::Bench(args) => bench::run(&args, global),
@@ -152,6 +157,10 @@ mod tests {
             "lightshaft job submit",
             "lightshaft job list --limit 0",
             "lightshaft scene list --limit 0",
+            "lightshaft farm run suite.toml",
+            "lightshaft farm run suite.toml --label x --wait --detach",
+            "lightshaft farm approve r --who Ada",
+            "lightshaft farm bisect --good a --by picture",
             "lightshaft no",
         ] {
             assert!(Cli::try_parse_from(line.split(' ')).is_err(), "{line}");
@@ -188,6 +197,18 @@ mod tests {
             "lightshaft job resume j",
             "lightshaft job download j -o out",
             "lightshaft job log j",
+            "lightshaft farm run suite.toml --label 3f2a91c --baseline main --wait --set spp=4 --tag driver=560",
+            "lightshaft farm run suite.toml --label x --detach --case a --scene s=id --junit j.xml --html r.html --markdown r.md",
+            "lightshaft farm status",
+            "lightshaft farm status r",
+            "lightshaft farm report r --html r.html",
+            "lightshaft farm approve r a b --who Ada --why better",
+            "lightshaft farm reject r --all --who Ada",
+            "lightshaft farm reset s c --who Ada --why machine",
+            "lightshaft farm history s c",
+            "lightshaft farm calibrate suite.toml --label x --times 5",
+            "lightshaft farm bisect --good a --bad b --by picture --max-flip 0.01 -- ./render.sh",
+            "lightshaft farm bisect --good a --by time --max-ratio 1.2 --prepare make -- ./render.sh --fast",
             "lightshaft workers list",
             "lightshaft workers show w",
             "lightshaft workers drain w",

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use lightshaft_api::client::{Client, ScenePart, Upload};
 use lightshaft_api::scene::{Scene, SceneSummary};
@@ -149,9 +150,27 @@ async fn list(global: &Global, limit: u32) -> Result<()> {
     table.print()
 }
 
+/// The bytes of a generated scene, as the words after `scene generate` describe it.
+pub(super) fn generated(words: &str) -> Result<Vec<u8>> {
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: GenerateArgs,
+    }
+    let words = ["generate"].into_iter().chain(words.split_whitespace());
+    let line = Line::try_parse_from(words).map_err(|error| CliError::usage(error.to_string()))?;
+    line.args.glb()
+}
+
+impl GenerateArgs {
+    fn glb(&self) -> Result<Vec<u8>> {
+        let params = Params { seed: self.seed, triangles: self.triangles, count: self.count };
+        engine::generate(&self.kind, &params).map_err(|error| CliError::usage(error.to_string()))
+    }
+}
+
 fn generate(args: &GenerateArgs, global: &Global) -> Result<()> {
-    let params = Params { seed: args.seed, triangles: args.triangles, count: args.count };
-    let glb = engine::generate(&args.kind, &params).map_err(|error| CliError::usage(error.to_string()))?;
+    let glb = args.glb()?;
     let path = args.output.clone().unwrap_or_else(|| PathBuf::from(format!("{}.glb", args.kind)));
     std::fs::write(&path, &glb).map_err(|error| CliError::usage(format!("{}: {error}", path.display())))?;
     if global.json {

@@ -98,7 +98,7 @@ impl SettingsArgs {
         self.put_options(&mut json)?;
         let environment_file = self.put_environment(&mut json)?;
         for assignment in &self.setting {
-            put_setting(&mut json, assignment)?;
+            put_setting("--setting", &mut json, assignment)?;
         }
         Ok(Chosen { json, environment_file })
     }
@@ -224,10 +224,10 @@ fn parse(option: &str, text: &str) -> Result<Value> {
 }
 
 /// `a.b=value`; a value that is not JSON is taken as text.
-fn put_setting(json: &mut Map<String, Value>, assignment: &str) -> Result<()> {
+pub(crate) fn put_setting(option: &str, json: &mut Map<String, Value>, assignment: &str) -> Result<()> {
     let (key, value) = assignment
         .split_once('=')
-        .ok_or_else(|| CliError::usage(format!("--setting {assignment}: expected KEY=VALUE")))?;
+        .ok_or_else(|| CliError::usage(format!("{option} {assignment}: expected KEY=VALUE")))?;
     let value = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
     let mut path: Vec<&str> = key.split('.').collect();
     let last = path.pop().unwrap_or_default();
@@ -239,7 +239,7 @@ fn put_setting(json: &mut Map<String, Value>, assignment: &str) -> Result<()> {
         }
         match entry.as_object_mut() {
             Some(inner) => object = inner,
-            None => return Err(CliError::usage(format!("--setting {assignment}: {part} is no object"))),
+            None => return Err(CliError::usage(format!("{option} {assignment}: {part} is no object"))),
         }
     }
     object.insert(last.to_owned(), value);

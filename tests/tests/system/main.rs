@@ -3,6 +3,7 @@
 mod bad_requests;
 mod bad_uploads;
 mod benchmarks;
+mod bisect;
 mod command_line;
 mod dashboard;
 mod devices;
