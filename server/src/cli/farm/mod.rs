@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use lightshaft_api::client::{Client, RunFilter};
-use lightshaft_api::farm::{NewSuite, Run, RunState, Suite};
+use lightshaft_api::farm::{NewSuite, Run, RunKind, RunState, Suite};
 use lightshaft_api::problem::FieldError;
 
 use super::error::{CliError, Result};
@@ -71,7 +71,8 @@ pub(crate) fn run(command: Command, global: &Global) -> Result<()> {
 async fn find_run(client: &Client, wanted: &str) -> Result<Run> {
     match client.run(wanted).await {
         Err(error) if error.status() == Some(404) => {
-            let filter = RunFilter { label: Some(wanted.to_owned()), limit: Some(1), ..RunFilter::default() };
+            let (kind, label) = (Some(RunKind::Check), Some(wanted.to_owned()));
+            let filter = RunFilter { kind, label, limit: Some(1), ..RunFilter::default() };
             match client.runs(&filter).await?.items.first() {
                 Some(newest) => Ok(client.run(&newest.id).await?),
                 None => Err(CliError::usage(format!("no run has the id or the label `{}`", output::printable(wanted)))),
