@@ -15,6 +15,8 @@ const TOP: f64 = 14.0;
 const BOTTOM: f64 = 256.0;
 /// Values that lie further apart than this are drawn by their logarithm.
 const LOG_FROM: f64 = 20.0;
+/// An error of less is that of rounding.
+const LEAST_FLIP: f64 = 1e-6;
 
 /// One chart.
 pub(in crate::dashboard) struct Scatter {
@@ -46,6 +48,7 @@ pub(in crate::dashboard) struct Point {
 struct Figures {
     speed: f64,
     megabytes: Option<f64>,
+    /// None where there is no error.
     flip: Option<f64>,
 }
 
@@ -53,14 +56,14 @@ impl Figures {
     fn of(row: &Row) -> Option<Self> {
         let speed = row.timed.as_ref()?.mrays_per_s.median;
         let megabytes = row.built.as_ref().map(|built| (built.structure_bytes + built.line_space_bytes) as f64 / 1e6);
-        Some(Self { speed, megabytes, flip: row.picture.as_ref().map(|picture| picture.flip) })
+        let flip = row.picture.as_ref().map(|picture| picture.flip).filter(|&flip| flip >= LEAST_FLIP);
+        Some(Self { speed, megabytes, flip })
     }
 
     /// Whether `other` is at least as good in everything and better in something.
     fn is_beaten_by(self, other: Self, by_memory: bool, by_error: bool) -> bool {
         let costs = |figures: Self| {
             let memory = figures.megabytes.filter(|_| by_memory).unwrap_or(0.0);
-            // The reference has no error.
             let error = figures.flip.filter(|_| by_error).unwrap_or(0.0);
             [-figures.speed, memory, error]
         };
