@@ -11,6 +11,8 @@
 //! | `/jobs`, `/jobs/{id}` | table of jobs; one job with its picture |
 //! | `/jobs/new` | form that submits a job |
 //! | `/compare` | pictures side by side, over each other, and what sets them apart |
+//! | `/farm`, `/farm/runs/{id}` | the regression farm: runs; the cases of one with their verdicts |
+//! | `/farm/history`, `/farm/decisions` | a case over its labels; who decided what |
 //! | `/scenes`, `/scenes/{id}` | cards and upload; one scene |
 //! | `/workers` | devices, work in progress, caches |
 //! | `/meshes/{hash}` | structures that exist for a mesh |
@@ -23,6 +25,7 @@ mod assets;
 mod benchmark;
 mod client;
 mod compare;
+mod farm;
 mod filters;
 mod form;
 mod job;
@@ -52,6 +55,10 @@ pub fn router(api: Router) -> Router {
         .route("/jobs/new", get(new_job::show))
         .route("/jobs/{id}", get(job::show))
         .route("/compare", get(compare::show))
+        .route("/farm", get(farm::list))
+        .route("/farm/runs/{id}", get(farm::run::show))
+        .route("/farm/history", get(farm::history::show))
+        .route("/farm/decisions", get(farm::decisions::list))
         .route("/scenes", get(scenes::list))
         .route("/scenes/{id}", get(scenes::show))
         .route("/workers", get(workers::list))

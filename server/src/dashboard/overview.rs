@@ -8,6 +8,7 @@ use lightshaft_api::status::{ServiceState, Status};
 use lightshaft_api::worker::{Worker, WorkerState};
 
 use super::client::Api;
+use super::farm::Health;
 use super::filters;
 use super::job::JobCard;
 use super::page::{Page, PageError};
@@ -20,6 +21,7 @@ struct Overview {
     running: Vec<JobCard>,
     recent: Vec<JobCard>,
     workers: Vec<Worker>,
+    farm: Option<Health>,
     /// Nothing has been uploaded yet: show how to begin.
     empty: bool,
     base_url: String,
@@ -37,6 +39,7 @@ pub(super) async fn show(api: Api, headers: HeaderMap) -> Result<Response, PageE
         running,
         recent: recent.into_iter().filter(|card| card.picture.is_some()).collect(),
         workers: workers.items.into_iter().filter(|worker| worker.state != WorkerState::Gone).collect(),
+        farm: Health::of(&api).await?,
         base_url: base_url(&headers),
     };
     Ok(Page(page).into_response())

@@ -1,6 +1,6 @@
 //! Every page over an API fixture: it answers, it escapes, it loads nothing from elsewhere.
 
-mod fixture;
+pub(super) mod fixture;
 
 use std::collections::BTreeSet;
 
@@ -49,6 +49,10 @@ fn pages() -> Vec<String> {
         .to_vec();
     pages.extend(["queued", "running", "succeeded", "failed", "cancelled"].map(|state| format!("/jobs/j-{state}")));
     pages.extend(["/jobs/new?from=j-succeeded", "/scenes", "/scenes/s1", "/workers", "/docs"].map(str::to_owned));
+    pages.extend(
+        ["/farm", "/farm?suite=generated&ok=false", "/farm/runs/r1", "/farm/runs/r1?show=changed"].map(str::to_owned),
+    );
+    pages.extend(["/farm/history?suite=generated&case=cornell", "/farm/decisions?kind=rejected"].map(str::to_owned));
     pages.push(format!("/meshes/{}", fixture::HASH));
     pages.extend(
         ["/compare", "/compare?p=j-succeeded", "/compare?p=j-succeeded&p=j-succeeded/image.png"].map(str::to_owned),
@@ -71,7 +75,7 @@ async fn every_page_is_html_under_the_content_security_policy() {
 
 #[tokio::test]
 async fn every_page_works_on_an_empty_service() {
-    for path in ["/", "/jobs", "/jobs/new", "/scenes", "/workers"] {
+    for path in ["/", "/jobs", "/jobs/new", "/scenes", "/workers", "/compare", "/farm", "/farm/decisions"] {
         let answer = get_from(false, path, &[]).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.body);
     }
@@ -83,7 +87,16 @@ async fn every_page_works_on_an_empty_service() {
 async fn what_users_wrote_is_escaped() {
     for path in pages() {
         let body = get(&path).await.body;
-        for raw in ["bunnies <script>", "<i>left</i>", "body <b>", "nightly & more"] {
+        for raw in [
+            "Ada <b>",
+            "1db641f <b>",
+            "<i>so</i>",
+            "commit <b>",
+            "bunnies <script>",
+            "<i>left</i>",
+            "body <b>",
+            "nightly & more",
+        ] {
             assert!(!body.contains(raw), "{path} holds {raw:?} unescaped");
         }
     }
@@ -163,6 +176,7 @@ async fn assets_answer_conditional_requests_and_old_versions() {
 #[tokio::test]
 async fn unknown_ids_are_html_pages_with_the_status_of_the_api() {
     for path in [
+        "/farm/runs/nothing",
         "/compare?p=nothing",
         "/jobs/nothing",
         "/scenes/nothing",
@@ -195,6 +209,31 @@ async fn a_job_page_shows_what_is_known_of_it() {
     assert!(queued.contains("id=\"waiting\">Every worker &#60;i&#62;left&#60;/i&#62;.</p>"), "{queued}");
     let failed = get("/jobs/j-failed").await.body;
     assert!(failed.contains("/v1/jobs/j-failed/retry") && failed.contains("no triangle &#60;i&#62;left"));
+}
+
+#[tokio::test]
+async fn a_run_shows_its_verdicts_and_offers_to_decide() {
+    let all = get("/farm/runs/r1").await.body;
+    for part in [
+        "id=\"case-cornell\"",
+        "id=\"case-teapot\"",
+        "verdict-changed",
+        "verdict-slower",
+        "The pixels differ",
+        "Confirmed by running both versions in turns",
+        "data-action=\"/v1/farm/runs/r1/approve\"",
+        "70,000 of 307,200",
+    ] {
+        assert!(all.contains(part), "no {part}");
+    }
+    assert!(all.contains(&format!("/compare?p={0}&#38;p={0}&#38;mode=swipe", fixture::HASH)), "{all}");
+    let changed = get("/farm/runs/r1?show=changed").await.body;
+    assert!(changed.contains("id=\"case-cornell\"") && !changed.contains("id=\"case-teapot\""));
+    let named = get("/farm/runs/r1?q=TEA").await.body;
+    assert!(!named.contains("id=\"case-cornell\"") && named.contains("id=\"case-teapot\""));
+    let overview = get("/").await.body;
+    assert!(overview.contains("1 case waits for a decision"), "{overview}");
+    assert!(!get_from(false, "/", &[]).await.body.contains("Regression farm"), "a farm that never ran is not shown");
 }
 
 #[tokio::test]

@@ -5,22 +5,48 @@ import { announce, refresh } from './live.js';
 export function startActions() {
   document.addEventListener('submit', (event) => {
     const form = event.target;
-    if (!form.dataset.action) return;
+    if (!form.dataset.action && !event.submitter?.dataset.action) return;
     event.preventDefault();
-    perform(form);
+    perform(form, event.submitter);
   });
   document.addEventListener('click', (event) => {
     const button = event.target.closest('[data-copy]');
     if (button) copy(button);
+    const all = event.target.closest('[data-check-all]');
+    if (all) for (const box of waiting(all.dataset.checkAll)) box.checked = true;
   });
+  for (const input of document.querySelectorAll('[data-remember]')) remember(input);
 }
 
-async function perform(form) {
-  const { action, method, then, done, confirm: question } = form.dataset;
+const waiting = (name) => document.querySelectorAll(`input[name="${name}"][data-waits]`);
+
+// Keeps what was typed into a field for the next time, in this browser.
+function remember(input) {
+  const key = `field-${input.dataset.remember}`;
+  try {
+    input.value ||= localStorage.getItem(key) ?? '';
+    input.defaultValue = input.value;
+    input.addEventListener('change', () => {
+      localStorage.setItem(key, input.value);
+      input.defaultValue = input.value;
+    });
+  } catch {
+    // Storage may be forbidden.
+  }
+}
+
+async function perform(form, submitter) {
+  const { method, then, done, confirm: question } = form.dataset;
+  const action = submitter?.dataset.action ?? form.dataset.action;
   // Not `disabled`, which would take the focus away from whoever works with the keyboard.
   if (form.ariaBusy === 'true' || (question && !confirm(question))) return;
   const alerts = document.getElementById('alerts');
   const body = bodyOf(form);
+  const { need } = form.dataset;
+  if (need && JSON.parse(body)[need].length === 0) {
+    alerts.replaceChildren(notice({ title: 'Nothing is chosen', detail: 'Choose at least one first.', errors: [] }));
+    return;
+  }
   form.ariaBusy = 'true';
   try {
     const headers = body ? { 'Content-Type': 'application/json' } : {};
@@ -41,9 +67,15 @@ async function perform(form) {
   }
 }
 
-// What the form says to send, or else its numbers by name.
+// What the form says to send; or its texts by name, and the checked values of its lists; or else its numbers by name.
 function bodyOf(form) {
   if (form.dataset.body) return form.dataset.body;
+  if ('json' in form.dataset) {
+    const lists = (form.dataset.lists ?? '').split(' ').filter(Boolean);
+    const data = new FormData(form);
+    const texts = [...data].filter(([name]) => !lists.includes(name));
+    return JSON.stringify({ ...Object.fromEntries(texts), ...Object.fromEntries(lists.map((name) => [name, data.getAll(name)])) });
+  }
   const numbers = [...form.querySelectorAll('input[type=number]')].map((input) => [input.name, input.valueAsNumber]);
   return numbers.length > 0 ? JSON.stringify(Object.fromEntries(numbers)) : undefined;
 }

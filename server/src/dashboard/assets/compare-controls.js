@@ -86,6 +86,7 @@ export class Controls {
     const isValue = layer.kind === 'scalar' || layer.kind === 'vector' || isCounted(layer);
     const shown = {
       'for-color': layer.kind === 'color' && !state.plain && state.mode !== 'heat',
+      'for-light': layer.name === 'color' && !state.plain && state.mode !== 'heat' && state.mode !== 'difference',
       'for-values': isValue && state.mode !== 'heat',
       'for-map': isValue && layer.kind !== 'vector' && state.mode !== 'heat',
       'for-difference': state.mode === 'difference',

@@ -218,7 +218,7 @@ class Comparison {
   panes() {
     const { state, sources, canvas } = this;
     const whole = { left: 0, top: 0, width: canvas.width, height: canvas.height };
-    const picture = (index, place) => ({ ...place, key: this.keyOf(sources[index]), index, displayed: sources[index].displayed });
+    const picture = (index, place) => ({ ...place, key: this.keyOf(sources[index]), index, displayed: sources[index].displayed || state.layer !== 'color' });
     const [a, b] = [state.ref, state.other];
     switch (state.mode) {
       case 'swipe': {

@@ -122,6 +122,73 @@ pub(crate) fn mesh() -> Mesh {
     }))
 }
 
+fn farm_artifact(name: &str) -> Value {
+    json!({ "name": name, "media_type": if name.ends_with("png") { "image/png" } else { "image/x-exr" }, "bytes": 1234,
+        "hash": HASH, "href": format!("/v1/farm/runs/r1/cases/cornell/artifacts/{name}") })
+}
+
+fn decision(kind: &str) -> Value {
+    json!({ "id": "d1", "kind": kind, "who": "Ada <b>", "why": "meant <i>so</i>", "at": "2026-11-22T10:00:00Z",
+        "baseline": "main", "suite": "generated", "case": "cornell", "device_class": "cpu", "run": "r1",
+        "label": "1db641f", "pixels": HASH })
+}
+
+/// A finished run: a case that changed and is slower, one that somebody approved.
+pub(crate) fn run() -> Run {
+    let spread = |median: f64| json!({ "samples": 5, "lower_quartile_s": 0.9 * median, "median_s": median, "upper_quartile_s": 1.1 * median });
+    let ratio = json!({ "value": 1.4, "low": 1.3, "high": 1.5, "p": 0.01 });
+    let artifacts = ["image.png", "image.exr", "heat-map.png", "accepted.png", "accepted.exr"].map(farm_artifact);
+    let case = |name: &str, is_ok: bool| {
+        json!({
+            "name": name, "state": "finished", "ok": is_ok, "scene": "s1", "settings": {}, "repeat": 5,
+            "tolerance": "identical", "time_tolerance": { "metric": "render_s", "max_ratio": 1.1 },
+            "device_class": "cpu", "worker": "w1",
+            "image": { "verdict": if is_ok { "identical" } else { "changed" },
+                "reason": (!is_ok).then_some("the pixels differ <i>here</i>"), "pixels": HASH, "source": "exr",
+                "accepted": HASH, "z_test": null, "unsteady": false,
+                "figures": (!is_ok).then(|| json!({ "rmse": 0.1, "rel_mse": 0.1, "mae": 0.1, "psnr": 30.0, "ssim": 0.9,
+                    "flip_mean": 0.07, "flip_p99": 0.3, "max_difference": 0.5, "max_at": [1, 2],
+                    "differing_pixels": 70_000, "pixels": 307_200 })) },
+            "time": { "verdict": if is_ok { "same" } else { "slower" }, "reason": "slower", "metric": "render_s",
+                "samples_s": [1.0, 1.1], "spread": spread(1.4), "baseline": spread(1.0), "ratio": ratio.clone(),
+                "limit": 1.1, "noise_floor": 0.02,
+                "confirmation": { "state": if is_ok { "not_needed" } else { "confirmed" }, "reason": null, "a_s": [],
+                    "b_s": [], "ratio": null } },
+            "decision": is_ok.then(|| decision("approved")),
+            "jobs": [{ "job": "j-succeeded", "phase": "sample", "position": 0, "time_s": 1.0 }],
+            "artifacts": artifacts,
+        })
+    };
+    typed(json!({
+        "id": "r1", "kind": "check", "suite": "su1", "suite_name": "generated", "label": "1db641f <b>",
+        "labels": { "driver": "nightly & more" }, "baseline": "main", "state": "finished", "ok": false,
+        "counts": { "cases": 2, "finished": 2, "ok": 1, "undecided": 1, "rejected": 0, "identical": 1,
+            "within_tolerance": 0, "changed": 1, "missing": 0, "failed": 0, "faster": 0, "same": 1, "slower": 1,
+            "too_noisy_to_say": 0 },
+        "created_at": "2026-11-22T10:00:00Z", "finished_at": "2026-11-22T10:01:00Z", "scenes": { "box": "s1" },
+        "overrides": {}, "priority": 0, "cases": [case("cornell", false), case("teapot", true)],
+    }))
+}
+
+/// Four runs of a case, the last one slower.
+pub(crate) fn history() -> History {
+    let point = |number: u32, median: f64| {
+        json!({ "run": format!("r{number}"), "label": format!("commit <b> {number}"), "labels": {},
+            "at": "2026-11-22T10:00:00Z", "ok": number < 4, "image": "identical",
+            "time": if number < 4 { "same" } else { "slower" }, "confirmation": "not_needed", "pixels": HASH,
+            "metric": "render_s", "median_s": median, "lower_quartile_s": 0.95 * median,
+            "upper_quartile_s": 1.05 * median, "picture": "/v1/farm/runs/r1/cases/cornell/artifacts/image.png" })
+    };
+    typed(json!({
+        "suite": "generated", "case": "cornell", "device_class": "cpu", "device_classes": ["cpu", "gpu: nightly & more"],
+        "baseline": "main", "points": [point(1, 1.0), point(2, 1.02), point(3, 0.99), point(4, 1.5)],
+        "change_points": [3], "noise_floor": 0.03,
+        "pictures": [{ "pixels": HASH, "source": "exr", "artifacts": [farm_artifact("image.png")], "decision": "d1",
+            "label": "1db641f", "accepted_at": "2026-11-22T10:00:00Z" }],
+        "decisions": [decision("approved")],
+    }))
+}
+
 pub(crate) fn status(scenes: u64) -> Status {
     typed(json!({
         "state": "active", "version": "0.1.0", "uptime_s": 4000.0,
@@ -139,6 +206,7 @@ pub(crate) fn status(scenes: u64) -> Status {
 struct Document;
 
 use lightshaft_api::event::Event;
+use lightshaft_api::farm::{Decision, History, Run, SuiteSummary};
 use lightshaft_api::problem::Problem;
 
 fn document() -> Value {
@@ -209,6 +277,32 @@ pub(crate) fn api(scenes: bool) -> Router {
             "/v1/meshes/{hash}",
             get(|Path(hash): Path<String>| async move {
                 if hash == HASH { Json(mesh()).into_response() } else { unknown("mesh", &hash) }
+            }),
+        )
+        .route(
+            "/v1/farm/runs",
+            get(move || async move { page(if scenes { vec![run().summary] } else { vec![] }, scenes.then_some("next/1")) }),
+        )
+        .route(
+            "/v1/farm/runs/{id}",
+            get(|Path(id): Path<String>| async move {
+                if id == "r1" { Json(run()).into_response() } else { unknown("run", &id) }
+            }),
+        )
+        .route("/v1/farm/history", get(|| async { Json(history()) }))
+        .route(
+            "/v1/farm/decisions",
+            get(move || async move {
+                let decisions: Vec<Decision> = if scenes { vec![typed(decision("rejected"))] } else { vec![] };
+                page(decisions, None)
+            }),
+        )
+        .route(
+            "/v1/farm/suites",
+            get(move || async move {
+                let suite: SuiteSummary = typed(json!({ "id": "su1", "name": "generated", "description": "all <b>scenes</b>",
+                    "hash": HASH, "cases": 2, "created_at": "2026-11-22T10:00:00Z" }));
+                page(if scenes { vec![suite] } else { vec![] }, None)
             }),
         )
         .route("/openapi.json", get(|| async { Json(document()) }))
