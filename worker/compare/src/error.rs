@@ -17,10 +17,14 @@ pub struct Differences {
     pub rmse: f64,
     /// Mean over all channels of all pixels of `(test - reference)^2 / (reference^2 + 0.01)`.
     pub rel_mse: f64,
+    /// Mean absolute difference over all channels of all pixels.
+    pub mae: f64,
     /// Mean luminance of the test image over that of the reference; null when the reference is black.
     pub mean_ratio: Option<f64>,
     /// Largest difference of any channel.
     pub max_difference: f64,
+    /// Column and row of the first pixel with the largest difference; null when none differs.
+    pub max_at: Option<[u32; 2]>,
     /// Pixels that differ in any channel by more than the tolerance, or are NaN or infinite in one image only.
     pub differing_pixels: u64,
     /// Pixels with a NaN or an infinity in either image; left out of the figures above but `differing_pixels`.
@@ -35,10 +39,11 @@ pub struct Differences {
 /// [`Error::Size`] when the sizes differ.
 pub fn differences(reference: &Image, test: &Image, tolerance: f32) -> Result<Differences, Error> {
     same_size(reference, test)?;
-    let (mut squared, mut relative, mut largest) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let (mut squared, mut absolute, mut relative) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let (mut largest, mut largest_at) = (0.0_f64, None);
     let (mut reference_luminance, mut test_luminance) = (0.0_f64, 0.0_f64);
     let (mut differing, mut finite) = (0_u64, 0_u64);
-    for (r, t) in reference.pixels().iter().zip(test.pixels()) {
+    for (i, (r, t)) in reference.pixels().iter().zip(test.pixels()).enumerate() {
         if !is_finite(r) || !is_finite(t) {
             differing += u64::from(is_finite(r) != is_finite(t));
             continue;
@@ -48,8 +53,11 @@ pub fn differences(reference: &Image, test: &Image, tolerance: f32) -> Result<Di
         for (&r, &t) in r.iter().zip(t) {
             let (reference, difference) = (f64::from(r), f64::from(t) - f64::from(r));
             squared += difference * difference;
+            absolute += difference.abs();
             relative += difference * difference / (reference * reference + REL_MSE_EPSILON);
-            largest = largest.max(difference.abs());
+            if difference.abs() > largest {
+                (largest, largest_at) = (difference.abs(), Some(i));
+            }
             differs |= difference.abs() > f64::from(tolerance);
         }
         differing += u64::from(differs);
@@ -60,9 +68,11 @@ pub fn differences(reference: &Image, test: &Image, tolerance: f32) -> Result<Di
     let channels = (3 * finite).max(1) as f64;
     Ok(Differences {
         rmse: (squared / channels).sqrt(),
+        mae: absolute / channels,
         rel_mse: relative / channels,
         mean_ratio: (reference_luminance > 0.0).then(|| test_luminance / reference_luminance),
         max_difference: largest,
+        max_at: largest_at.map(|i| [(i % reference.width()) as u32, (i / reference.width()) as u32]),
         differing_pixels: differing,
         non_finite_pixels: pixels - finite,
         pixels,
@@ -81,6 +91,7 @@ mod tests {
         assert_eq!((d.rmse, d.rel_mse, d.max_difference, d.differing_pixels), (0.0, 0.0, 0.0, 0));
         assert_eq!(d.mean_ratio, Some(1.0));
         assert_eq!((d.pixels, d.non_finite_pixels), (31 * 17, 0));
+        assert_eq!((d.mae, d.max_at), (0.0, None));
     }
 
     #[test]
@@ -101,7 +112,8 @@ mod tests {
         let test = Image::new(5, 2, pixels).unwrap();
         let d = differences(&flat(5, 2, [1.0; 3]), &test, 1e-3).unwrap();
         assert!((d.rmse - (4.0_f64 / 30.0).sqrt()).abs() < 1e-12);
-        assert_eq!((d.max_difference, d.differing_pixels), (2.0, 1));
+        assert_eq!((d.max_difference, d.max_at, d.differing_pixels), (2.0, Some([2, 1]), 1));
+        assert!((d.mae - 2.0 / 30.0).abs() < 1e-12);
     }
 
     #[test]

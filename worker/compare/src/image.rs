@@ -20,6 +20,8 @@ pub enum Error {
         "the images differ in size: the reference has {reference_width} x {reference_height} pixels, the test image {test_width} x {test_height}"
     )]
     Size { reference_width: usize, reference_height: usize, test_width: usize, test_height: usize },
+    #[error("{found} renderings have no variance: it takes at least two")]
+    Renderings { found: usize },
 }
 
 impl Image {

@@ -1,5 +1,6 @@
-//! How far two pictures are apart, in numbers and as a picture: RMSE, relative MSE, mean ratio, largest difference,
-//! count of differing pixels, SSIM and FLIP with its heat map; and how far two timings are apart. Pure functions; no IO.
+//! How far two pictures are apart, in numbers and as a picture: RMSE, relative MSE, MAE, PSNR, mean ratio, largest
+//! difference and where, count of differing pixels, SSIM, FLIP with its heat map, a Z-test for sampled effects; and how far
+//! two timings are apart. Pure functions; no IO.
 //!
 //! ```
 //! use lightshaft_compare::{Image, Options, compare};
@@ -11,17 +12,21 @@
 //! # Ok::<(), lightshaft_compare::Error>(())
 //! ```
 
+mod difference;
 mod error;
 mod flip;
 mod heat_map;
 mod image;
+mod normal;
 mod plane;
 mod report;
 mod ssim;
 #[cfg(test)]
 mod test_images;
 pub mod timing;
+mod z_test;
 
+pub use difference::{difference_picture, psnr};
 pub use error::{Differences, REL_MSE_EPSILON, differences};
 pub use flip::{PIXELS_PER_DEGREE, flip};
 pub use heat_map::heat_map;
@@ -29,3 +34,4 @@ pub use image::{Error, Image};
 pub use plane::Plane;
 pub use report::{Comparison, Options, Report, compare};
 pub use ssim::ssim;
+pub use z_test::{Moments, ZTest, ZTestOptions, z_test};

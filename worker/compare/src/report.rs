@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::difference::psnr;
 use crate::error::{Differences, differences};
 use crate::flip::{PIXELS_PER_DEGREE, flip};
 use crate::image::{Error, Image};
@@ -28,6 +29,8 @@ impl Default for Options {
 pub struct Report {
     #[serde(flatten)]
     pub differences: Differences,
+    /// See [`psnr`]; null where a display shows the same.
+    pub psnr: Option<f64>,
     pub ssim: f64,
     pub flip_mean: f64,
     /// The error that 99 % of the pixels do not exceed.
@@ -47,6 +50,7 @@ pub fn compare(reference: &Image, test: &Image, options: &Options) -> Result<Com
     let flip = flip(reference, test, options.exposure, options.pixels_per_degree)?;
     let report = Report {
         differences: differences(reference, test, options.tolerance)?,
+        psnr: psnr(reference, test, options.exposure)?,
         ssim: ssim(reference, test, options.exposure)?,
         flip_mean: flip.mean(),
         flip_p99: f64::from(flip.percentile(0.99)),

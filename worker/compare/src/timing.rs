@@ -4,6 +4,14 @@
 //! quartiles describe, and the bootstrap (Efron 1979, "Bootstrap methods: another look at the jackknife") gives
 //! intervals. Random numbers come from a fixed seed: the same samples give the same interval.
 
+mod change_points;
+mod mann_whitney;
+mod ratio;
+
+pub use change_points::change_points;
+pub use mann_whitney::mann_whitney;
+pub use ratio::{median_ratio, noise_floor, paired_ratio};
+
 /// The quarters of some samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Quartiles {
