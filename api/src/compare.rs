@@ -66,10 +66,16 @@ pub struct CompareReport {
     pub rmse: f64,
     /// Mean of `(b - a)² / (a² + 0.01)`.
     pub rel_mse: f64,
+    /// Mean absolute difference.
+    pub mae: f64,
+    /// In dB, of the pictures as a display shows them; null where they are the same there.
+    pub psnr: Option<f64>,
     /// Mean luminance of `b` over that of `a`; null when `a` is black.
     pub mean_ratio: Option<f64>,
     /// Largest difference of any channel.
     pub max_difference: f64,
+    /// Column and row of the first pixel with the largest difference; null when none differs.
+    pub max_at: Option<[u32; 2]>,
     /// Pixels that differ in any channel by more than the tolerance, or are NaN or infinite in one picture only.
     pub differing_pixels: u64,
     /// Pixels with a NaN or an infinity in either picture; left out of the means. An id that is "none" counts as one.

@@ -21,6 +21,8 @@ pub struct Config {
     pub thumbnails: bool,
     /// How long finished jobs are kept with what they left; for good when `None`.
     pub keep_jobs: Option<Duration>,
+    /// How many runs of each suite of the farm are kept; all when `None`. What was accepted stays whatever this is.
+    pub keep_runs: Option<u32>,
     /// How long requests in progress may take to end after a shutdown was asked for.
     pub shutdown_deadline: Duration,
     pub limits: Limits,
@@ -67,6 +69,7 @@ impl Config {
             device_grace: Duration::from_secs(10),
             thumbnails: true,
             keep_jobs: None,
+            keep_runs: None,
             shutdown_deadline: Duration::from_secs(10),
             limits: Limits::default(),
         }

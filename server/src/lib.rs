@@ -12,6 +12,7 @@ pub mod clock;
 pub mod config;
 pub mod dashboard;
 pub mod error;
+pub mod farm;
 mod lock;
 pub mod picture;
 pub mod problems;

@@ -6,6 +6,7 @@ use http::StatusCode;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Code {
     BadJson,
+    BadToml,
     BadRequest,
     IncompleteBody,
     CrossSite,
@@ -30,8 +31,9 @@ pub enum Code {
 }
 
 impl Code {
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::BadJson,
+        Self::BadToml,
         Self::BadRequest,
         Self::IncompleteBody,
         Self::CrossSite,
@@ -84,6 +86,12 @@ impl Code {
                 S::BAD_REQUEST,
                 "The body is not JSON",
                 "The body could not be read as JSON. The detail names the line and column.",
+            ),
+            Self::BadToml => (
+                "bad-toml",
+                S::BAD_REQUEST,
+                "The body is not TOML",
+                "The body could not be read as TOML. The detail names the line and column.",
             ),
             Self::BadRequest => (
                 "bad-request",

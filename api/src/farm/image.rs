@@ -47,6 +47,15 @@ pub enum PictureSource {
     Png,
 }
 
+impl PictureSource {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Exr => "exr",
+            Self::Png => "png",
+        }
+    }
+}
+
 /// A case's picture against the accepted one that is closest to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ImageResult {

@@ -265,6 +265,8 @@ pub struct RunCase {
     pub device_class: Option<String>,
     /// The worker that renders all of it, once it is known.
     pub worker: Option<String>,
+    /// Of what rendered it: engine, structures, and the hash of the program.
+    pub versions: BTreeMap<String, String>,
     /// Null until it has finished.
     pub image: Option<ImageResult>,
     /// Null until it has finished, and without a picture.

@@ -88,7 +88,7 @@ pub struct SuiteCase {
     /// What baselines know the device by; when null, its kind and name as the worker reports them.
     #[serde(default)]
     pub device_class: Option<String>,
-    /// Timed repetitions, 1 to 50; 3 when null. One more is rendered first, to warm up, unless it is 1.
+    /// Repetitions, 1 to 50; when null 3, or 1 where times are off. One more is rendered first, to warm up, unless it is 1.
     #[serde(default)]
     pub repeat: Option<u32>,
     /// `"identical"` when null.
@@ -180,7 +180,9 @@ impl NewSuite {
         let before = errors.len();
         errors.extend(check_name(&case.name, 100, &format!("{pointer}/name")));
         errors.extend(check_name(&case.scene, 100, &format!("{pointer}/scene")));
-        let repeat = case.repeat.or(self.defaults.repeat).unwrap_or(DEFAULT_REPEATS);
+        let time = case.time.clone().or_else(|| self.defaults.time.clone()).unwrap_or_default();
+        let unsaid = if time.limit().is_some() { DEFAULT_REPEATS } else { 1 };
+        let repeat = case.repeat.or(self.defaults.repeat).unwrap_or(unsaid);
         if !(1..=MOST_REPEATS).contains(&repeat) {
             errors.push(FieldError::new(format!("{pointer}/repeat"), format!("must be 1 to {MOST_REPEATS}")));
         }
@@ -194,7 +196,6 @@ impl NewSuite {
             let detail = "must be at least 4 where pictures are judged by a Z-test: it needs their variance";
             errors.push(FieldError::new(format!("{pointer}/repeat"), detail));
         }
-        let time = case.time.clone().or_else(|| self.defaults.time.clone()).unwrap_or_default();
         time.validate(&format!("{pointer}/time"), errors);
         let settings = self.settings_of(case, pointer, errors);
         let settings = settings.filter(|_| errors.len() == before)?;
@@ -290,7 +291,7 @@ mod tests {
         assert_eq!((cases[0].settings.device, cases[0].settings.spp), (DeviceChoice::Cpu, 4));
         assert_eq!(
             (cases[0].repeat, &cases[0].image, &cases[0].time),
-            (3, &ImageTolerance::IDENTICAL, &TimeTolerance::OFF)
+            (1, &ImageTolerance::IDENTICAL, &TimeTolerance::OFF)
         );
         assert_eq!((cases[1].settings.integrator, cases[1].settings.spp), (Integrator::Ao, 2));
         assert_eq!(cases[1].settings.camera, Some(CameraChoice::Name("front".to_owned())));

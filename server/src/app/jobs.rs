@@ -19,7 +19,7 @@ use crate::queue::{Millis, plan};
 use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, JobRemoval, ListedJob, PageRequest};
 use crate::web::context;
 
-const DEFAULT_MAX_ATTEMPTS: u32 = 3;
+pub(super) const DEFAULT_MAX_ATTEMPTS: u32 = 3;
 /// Jobs deleted in one go by age.
 const DELETE_BATCH: u32 = 100;
 /// Idempotency keys are kept this long.
@@ -57,6 +57,7 @@ impl App {
             tasks: plan(&new.settings),
             trace_id: context::trace_id(),
             automatic: false,
+            worker: None,
         };
         let creation = self.store.create_job(&record, idempotency.as_ref(), self.now()).await?;
         drop(in_use);
@@ -106,6 +107,7 @@ impl App {
             settings,
             trace_id: context::trace_id(),
             automatic: true,
+            worker: None,
         };
         if self.store.create_job(&record, None, self.now()).await? == Creation::Created {
             self.changed();
@@ -270,6 +272,12 @@ impl App {
     }
 
     async fn check_job(&self, new: &NewJob) -> ApiResult<()> {
+        let errors = self.job_errors(new).await?;
+        if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+    }
+
+    /// Everything that is wrong with a job, also by its scene and its blobs.
+    pub(super) async fn job_errors(&self, new: &NewJob) -> ApiResult<Vec<FieldError>> {
         let mut errors = new.validate();
         let mut scenes = Vec::new();
         match self.store.scene(&new.scene).await? {
@@ -299,7 +307,7 @@ impl App {
             }
             JobSettings::Build(_) => {}
         }
-        if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+        Ok(errors)
     }
 
     async fn check_environment(&self, settings: &RenderSettings, errors: &mut Vec<FieldError>) -> ApiResult<()> {

@@ -4,6 +4,7 @@ mod blobs;
 mod compare;
 mod demand;
 mod events;
+mod farm;
 mod garbage;
 pub mod import;
 mod jobs;

@@ -44,6 +44,9 @@ pub(crate) struct Args {
     /// Days that finished jobs are kept with their pictures and logs. [default: for good]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=36_500), value_name = "DAYS")]
     keep_jobs_days: Option<u64>,
+    /// Runs of each suite of the farm that are kept with their pictures; accepted pictures always are. [default: all]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000), value_name = "RUNS")]
+    keep_runs: Option<u32>,
     /// Megabytes of the largest upload of a scene.
     #[arg(long, default_value_t = 2048, value_name = "MB")]
     max_scene_mb: u64,
@@ -60,6 +63,7 @@ pub(crate) async fn run(args: Args, global: &Global) -> Result<()> {
     config.device_grace = Duration::from_secs(args.device_grace_s);
     config.thumbnails = !args.no_thumbnails;
     config.keep_jobs = args.keep_jobs_days.map(|days| Duration::from_secs(days * 24 * 3600));
+    config.keep_runs = args.keep_runs;
     config.limits.scene_bytes = args.max_scene_mb.saturating_mul(1 << 20);
     config.limits.import = args.scene_limits.clone();
     // What may be uploaded may also be read.

@@ -1,7 +1,7 @@
 //! How far two layers are apart, as figures and as pictures.
 
 use lightshaft_api::compare::CompareReport;
-use lightshaft_compare::{Error, Image, Options, Plane, Report, compare, differences, flip, heat_map, ssim};
+use lightshaft_compare::{Error, Image, Options, Plane, Report, compare, differences, flip, heat_map, psnr, ssim};
 use lightshaft_engine::film::{AovLayer, LayerKind, encode_png_srgb8, integer_value};
 
 use super::{Picture, PictureError, range, unreadable};
@@ -37,8 +37,14 @@ impl Pixels {
         Ok(Self { width, height, layer: picture.read(index)?, is_color })
     }
 
+    /// A picture's colour.
+    pub fn color(image: &Image) -> Self {
+        let layer = AovLayer::Vector(image.pixels().to_vec());
+        Self { width: image.width() as u32, height: image.height() as u32, layer, is_color: true }
+    }
+
     /// As three channels each; ids as floats, exact below 2^24, "none" as infinity.
-    fn image(&self) -> Result<Image, Error> {
+    pub fn image(&self) -> Result<Image, Error> {
         let pixels: Vec<[f32; 3]> = match &self.layer {
             AovLayer::Vector(values) => values.clone(),
             AovLayer::Scalar(values) => values.iter().map(|&value| [value; 3]).collect(),
@@ -71,6 +77,7 @@ pub fn layers(a: &Pixels, b: &Pixels, options: &Options) -> Result<Outcome, Erro
     let flip = flip(&first, &second, 0.0, options.pixels_per_degree)?;
     let figures = Report {
         differences,
+        psnr: psnr(&first, &second, 0.0)?,
         ssim: ssim(&first, &second, 0.0)?,
         flip_mean: flip.mean(),
         flip_p99: f64::from(flip.percentile(0.99)),
@@ -101,8 +108,11 @@ pub fn report(width: u32, height: u32, figures: &Report, bounds: Bounds) -> Comp
         height,
         rmse: differences.rmse,
         rel_mse: differences.rel_mse,
+        mae: differences.mae,
+        psnr: figures.psnr,
         mean_ratio: differences.mean_ratio,
         max_difference: differences.max_difference,
+        max_at: differences.max_at,
         differing_pixels: differences.differing_pixels,
         non_finite_pixels: differences.non_finite_pixels,
         pixels: differences.pixels,

@@ -4,6 +4,7 @@
 mod blobs;
 mod demands;
 mod expiry;
+mod farm;
 mod leases;
 mod scenes;
 
@@ -24,6 +25,9 @@ pub fn spawn(app: &Shared) -> JoinSet<()> {
     chores.spawn(every("leases", app.clone(), ttl, look, leases::run));
     let often = Duration::from_secs(1);
     chores.spawn(every("demands", app.clone(), often, often, demands::run));
+    // Each look at jobs that have ended is one step; people and scripts wait for the last.
+    let soon = Duration::from_millis(300);
+    chores.spawn(every("farm", app.clone(), soon, soon, farm::run));
     chores.spawn(every("expiry", app.clone(), Duration::from_secs(60), Duration::from_secs(600), expiry::run));
     chores.spawn(every("discarded", app.clone(), often, Duration::from_secs(10), blobs::delete_discarded));
     chores.spawn(every("scenes", app.clone(), Duration::from_secs(10), Duration::from_secs(60), scenes::run));

@@ -7,7 +7,7 @@ use lightshaft_api::blob::{BlobQuery, MissingBlobs, StoredBlob};
 use lightshaft_api::problem::Problem;
 
 use crate::app::Shared;
-use crate::error::ApiResult;
+use crate::error::{ApiError, ApiResult};
 use crate::web::body::{Id, Json, upload};
 use crate::web::file::{self, Binary};
 
@@ -47,7 +47,7 @@ pub(super) async fn put_blob(
     Ok(axum::Json(app.put_blob(body, Some(&hash)).await?))
 }
 
-/// The bytes of a blob. Takes If-None-Match and Range.
+/// The bytes of a blob, as a picture where it is one (PNG, OpenEXR). Takes If-None-Match and Range.
 #[utoipa::path(
     get, path = "/v1/blobs/{hash}", tag = "blobs",
     params(("hash" = String, Path, description = "BLAKE3, 64 lower-case hex digits")),
@@ -59,7 +59,17 @@ pub(super) async fn put_blob(
     )
 )]
 pub(super) async fn get_blob(State(app): State<Shared>, Id(hash): Id, headers: HeaderMap) -> ApiResult<Response> {
-    file::serve(&app, &hash, "application/octet-stream", file::IMMUTABLE, &headers, "blob").await
+    let start = app.blobs.start(&hash, 8).await.map_err(ApiError::internal)?.unwrap_or_default();
+    file::serve(&app, &hash, media_type(&start), file::IMMUTABLE, &headers, "blob").await
+}
+
+/// By its first bytes. Pages show pictures; anything else is bytes, whatever somebody uploaded.
+fn media_type(start: &[u8]) -> &'static str {
+    match start {
+        [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n', ..] => "image/png",
+        [0x76, 0x2f, 0x31, 0x01, ..] => "image/x-exr",
+        _ => "application/octet-stream",
+    }
 }
 
 /// Which of these blobs are not here.

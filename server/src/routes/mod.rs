@@ -2,6 +2,7 @@
 //! read the request, one call, one reply.
 
 mod blobs;
+mod farm;
 mod health;
 mod jobs;
 mod leases;
@@ -42,6 +43,7 @@ use crate::web::observe::observe;
         (name = "scenes", description = "What is rendered: glTF 2.0 files"),
         (name = "jobs", description = "What is asked for, and what came of it"),
         (name = "pictures", description = "What pictures hold, and how far two are apart"),
+        (name = "farm", description = "The regression farm: is the picture still right, and is it still as fast?"),
         (name = "blobs", description = "Immutable bytes named by their BLAKE3 hash"),
         (name = "meshes", description = "Unique meshes and the structures built for them"),
         (name = "workers", description = "Who renders"),
@@ -72,6 +74,22 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(jobs::get_log))
         .routes(routes!(jobs::job_events))
         .routes(routes!(jobs::all_events))
+        .routes(routes!(farm::suites::list_suites, farm::suites::create_suite))
+        .routes(routes!(farm::suites::get_suite))
+        .routes(routes!(farm::runs::list_runs, farm::runs::create_run))
+        .routes(routes!(farm::runs::get_run))
+        .routes(routes!(farm::runs::cancel_run))
+        .routes(routes!(farm::decisions::approve_cases))
+        .routes(routes!(farm::decisions::reject_cases))
+        .routes(routes!(farm::decisions::approve_case))
+        .routes(routes!(farm::decisions::reject_case))
+        .routes(routes!(farm::runs::get_case_artifact))
+        .routes(routes!(farm::decisions::list_decisions))
+        .routes(routes!(farm::decisions::list_baselines))
+        .routes(routes!(farm::decisions::reset_baseline))
+        .routes(routes!(farm::runs::get_history))
+        .routes(routes!(farm::runs::create_calibration))
+        .routes(routes!(farm::runs::get_calibration))
         .routes(routes!(blobs::store_blob))
         .routes(routes!(blobs::get_blob, blobs::put_blob))
         .routes(routes!(blobs::missing_blobs))

@@ -5,6 +5,7 @@
 
 #[cfg(test)]
 mod conformance;
+mod farm;
 pub mod sqlite;
 
 use std::collections::BTreeMap;
@@ -22,6 +23,10 @@ use lightshaft_api::settings::JobSettings;
 use lightshaft_api::status::StateCounts;
 use lightshaft_api::worker::{NewWorker, Worker};
 
+pub use self::farm::{
+    Acceptance, BaselineKey, BaselineStore, CaseDecision, CaseJob, CaseRecord, CaseStep, DecisionQuery, OpenCase,
+    Reference, ReferenceTimes, RunQuery, RunRecord, RunStore, Step, SuiteStore,
+};
 use crate::queue::{Demand, Millis, TaskCounts};
 
 /// Something is wrong with the database itself; never the client's fault.
@@ -85,6 +90,8 @@ pub struct JobRecord {
     pub trace_id: String,
     /// Made by the service itself, for the scene's thumbnail.
     pub automatic: bool,
+    /// The only worker that may do it; any when `None`.
+    pub worker: Option<String>,
 }
 
 /// How far a job's tasks are, of which the leased ones go on while nobody writes.
@@ -253,7 +260,7 @@ pub struct Totals {
 }
 
 #[async_trait]
-pub trait Store: Send + Sync + 'static {
+pub trait Store: SuiteStore + RunStore + BaselineStore + Send + Sync + 'static {
     /// Fails when nothing can be written.
     async fn check_writable(&self, now: Millis) -> Result<()>;
     async fn totals(&self) -> Result<Totals>;
@@ -304,7 +311,8 @@ pub trait Store: Send + Sync + 'static {
     async fn give_up_job(&self, id: &str, error: &str, now: Millis) -> Result<bool>;
     /// Deletes a finished job with all that belongs to it.
     async fn delete_job(&self, id: &str, now: Millis) -> Result<JobRemoval>;
-    /// Ids of jobs that ended before a time, oldest first; thumbnails of scenes that are there are not among them.
+    /// Ids of jobs that ended before a time, oldest first; thumbnails of scenes that are there are not among them, nor is
+    /// what a run of the farm that goes on still has to look at.
     async fn jobs_finished_before(&self, before: Millis, limit: u32) -> Result<Vec<String>>;
     async fn patch_job(&self, id: &str, priority: Option<i32>, paused: Option<bool>, now: Millis) -> Result<Change>;
 

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use axum::body::Body;
 use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use bytes::Bytes;
 use http::HeaderMap;
 use http::header::{CONTENT_LENGTH, CONTENT_TYPE};
 use http::request::Parts;
@@ -40,16 +41,25 @@ impl<T: DeserializeOwned> FromRequest<Shared> for Report<T> {
 }
 
 async fn read_json<T: DeserializeOwned>(request: Request, limit: u64, within: Duration) -> ApiResult<T> {
-    if !media_type(request.headers()).is_some_and(|media| media == "application/json" || media.ends_with("+json")) {
+    if !is_json(request.headers()) {
         return Err(ApiError::new(Code::UnsupportedMediaType, "expected Content-Type: application/json"));
     }
-    let too_large = || ApiError::new(Code::TooLarge, format!("this JSON body must be at most {limit} bytes"));
+    parse(&read_whole(request, limit, within).await?)
+}
+
+pub fn is_json(headers: &HeaderMap) -> bool {
+    media_type(headers).is_some_and(|media| media == "application/json" || media.ends_with("+json"))
+}
+
+/// A whole body that is kept in memory.
+pub async fn read_whole(request: Request, limit: u64, within: Duration) -> ApiResult<Bytes> {
+    let too_large = || ApiError::new(Code::TooLarge, format!("this body must be at most {limit} bytes"));
     if announced_length(request.headers()).is_some_and(|length| length > limit) {
         return Err(too_large());
     }
     let limited = Limited::new(request.into_body(), usize::try_from(limit).unwrap_or(usize::MAX));
     match tokio::time::timeout(within, limited.collect()).await {
-        Ok(Ok(body)) => parse(&body.to_bytes()),
+        Ok(Ok(body)) => Ok(body.to_bytes()),
         Ok(Err(error)) if error.is::<LengthLimitError>() => Err(too_large()),
         Ok(Err(_)) => Err(ApiError::new(Code::IncompleteBody, "the body ended before its announced length")),
         Err(_) => Err(ApiError::new(Code::UploadStalled, "the body did not arrive in time")),

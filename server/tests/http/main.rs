@@ -4,6 +4,7 @@ mod bad_input;
 mod blobs;
 mod errors;
 mod events;
+mod farm;
 mod harness;
 mod jobs;
 mod kinds;

@@ -9,6 +9,7 @@ mod dashboard;
 mod devices;
 mod documentation;
 mod failures;
+mod farm;
 mod http;
 mod jobs;
 mod outages;

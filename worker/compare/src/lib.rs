@@ -12,13 +12,13 @@
 //! # Ok::<(), lightshaft_compare::Error>(())
 //! ```
 
-mod difference;
 mod error;
 mod flip;
 mod heat_map;
 mod image;
 mod normal;
 mod plane;
+mod psnr;
 mod report;
 mod ssim;
 #[cfg(test)]
@@ -26,12 +26,12 @@ mod test_images;
 pub mod timing;
 mod z_test;
 
-pub use difference::{difference_picture, psnr};
 pub use error::{Differences, REL_MSE_EPSILON, differences};
 pub use flip::{PIXELS_PER_DEGREE, flip};
 pub use heat_map::heat_map;
 pub use image::{Error, Image};
 pub use plane::Plane;
+pub use psnr::psnr;
 pub use report::{Comparison, Options, Report, compare};
 pub use ssim::ssim;
 pub use z_test::{Moments, ZTest, ZTestOptions, z_test};

@@ -2,11 +2,11 @@
 
 use serde::Serialize;
 
-use crate::difference::psnr;
 use crate::error::{Differences, differences};
 use crate::flip::{PIXELS_PER_DEGREE, flip};
 use crate::image::{Error, Image};
 use crate::plane::Plane;
+use crate::psnr::psnr;
 use crate::ssim::ssim;
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,5 +1,6 @@
 //! What every store must do, each behaviour a sentence. A new store passes by adding one line to [`suite`]'s calls.
 
+mod farm;
 mod leases;
 mod model;
 mod rest;
@@ -185,6 +186,7 @@ pub(super) fn job_record(scene: &str) -> JobRecord {
         tasks: vec![TaskWork::Frame],
         trace_id: "0".repeat(32),
         automatic: false,
+        worker: None,
     }
 }
 
@@ -279,6 +281,17 @@ suite! {
         a_busy_worker_is_not_removed,
         the_store_can_be_written,
         totals_count_everything;
+    farm:
+        a_task_that_demands_a_worker_goes_to_no_other,
+        the_same_suite_is_kept_once,
+        a_case_goes_on_only_from_where_it_was_read,
+        a_step_whose_scene_is_gone_makes_nothing,
+        a_run_ends_with_its_last_case,
+        a_cancelled_run_leaves_no_job_waiting,
+        what_is_accepted_is_kept_until_a_reset_and_decisions_for_good,
+        new_times_take_the_place_of_old_ones_where_the_level_changed,
+        old_runs_are_found_and_deleted_with_their_pictures,
+        a_noise_floor_is_that_of_the_last_calibration;
     model:
         random_histories_keep_every_promise;
 }

@@ -31,17 +31,10 @@ impl SqliteStore {
         {
             return Ok(creation);
         }
-        let scene_exists: bool =
-            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM scene WHERE id = $1 AND deleted_at IS NULL)")
-                .bind(&job.scene)
-                .fetch_one(&mut *tx)
-                .await
-                .map_err(context("looking up a job's scene"))?;
-        if !scene_exists {
+        if !is_scene_there(&mut tx, &job.scene).await? {
             return Ok(Creation::UnknownScene);
         }
-        insert_job(&mut tx, job, now).await?;
-        insert_tasks(&mut tx, job, now).await?;
+        add_job(&mut tx, job, now).await?;
         if job.automatic {
             sqlx::query("UPDATE scene SET thumbnail_job = $2 WHERE id = $1")
                 .bind(&job.scene)
@@ -63,8 +56,6 @@ impl SqliteStore {
             .await
             .map_err(context("keeping an idempotency key"))?;
         }
-        let data = json!({ "scene": job.scene, "tasks": job.tasks.len() });
-        emit(&mut tx, now, &job.id, EventKind::JobCreated, data).await?;
         commit(tx).await?;
         Ok(Creation::Created)
     }
@@ -82,14 +73,7 @@ impl SqliteStore {
             JobState::Succeeded | JobState::Failed => return Ok(Change::Refused(state)),
             JobState::Queued | JobState::Running => {}
         }
-        sqlx::query("UPDATE job SET cancel_requested = 1 WHERE id = $1")
-            .bind(id)
-            .execute(&mut *tx)
-            .await
-            .map_err(context("cancelling a job"))?;
-        cancel_tasks(&mut tx, id).await?;
-        emit(&mut tx, now, id, EventKind::JobChanged, json!({ "cancel_requested": true })).await?;
-        refresh_job(&mut tx, id, now).await?;
+        cancel_open_job(&mut tx, id, now).await?;
         commit(tx).await?;
         Ok(Change::Done)
     }
@@ -196,6 +180,23 @@ async fn repeated(tx: &mut Tx, idempotency: &Idempotency) -> Result<Option<Creat
     ))
 }
 
+/// A job with its tasks, and the event that tells of it.
+pub(super) async fn add_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
+    insert_job(tx, job, now).await?;
+    insert_tasks(tx, job, now).await?;
+    let data = json!({ "scene": job.scene, "tasks": job.tasks.len() });
+    emit(tx, now, &job.id, EventKind::JobCreated, data).await
+}
+
+/// Whether jobs can be made of it.
+pub(super) async fn is_scene_there(tx: &mut Tx, scene: &str) -> Result<bool> {
+    sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM scene WHERE id = $1 AND deleted_at IS NULL)")
+        .bind(scene)
+        .fetch_one(&mut **tx)
+        .await
+        .map_err(context("looking up a job's scene"))
+}
+
 async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
     let environment_blob = match &job.settings {
         JobSettings::Render(settings) => match &settings.environment {
@@ -241,8 +242,8 @@ async fn insert_tasks(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
         let demand = if is_merge { Demand::default() } else { Demand::of(&job.settings) };
         sqlx::query(
             "INSERT INTO task (id, job_id, position, work, is_merge, state, priority, run_at, needs_cpu,
-                               needs_gpu, needs_adapter)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
+                               needs_gpu, needs_adapter, needs_worker)
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)",
         )
         .bind(Uuid::now_v7().to_string())
         .bind(&job.id)
@@ -255,6 +256,7 @@ async fn insert_tasks(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
         .bind(demand.cpu)
         .bind(demand.gpu)
         .bind(demand.adapter)
+        .bind(job.worker.as_ref().filter(|_| !is_merge))
         .execute(&mut **tx)
         .await
         .map_err(context("adding a task"))?;
@@ -269,6 +271,19 @@ pub(super) async fn read_state(db: impl SqliteExecutor<'_>, job: &str) -> Result
         .await
         .map_err(context("reading a job's state"))?;
     state.map(|name| from_name(&name)).transpose()
+}
+
+/// Of a job that is queued or running.
+pub(super) async fn cancel_open_job(tx: &mut Tx, id: &str, now: Millis) -> Result<()> {
+    sqlx::query("UPDATE job SET cancel_requested = 1 WHERE id = $1")
+        .bind(id)
+        .execute(&mut **tx)
+        .await
+        .map_err(context("cancelling a job"))?;
+    cancel_tasks(tx, id).await?;
+    emit(tx, now, id, EventKind::JobChanged, json!({ "cancel_requested": true })).await?;
+    refresh_job(tx, id, now).await?;
+    Ok(())
 }
 
 /// Waiting tasks end now; leased ones are asked to, by their next heartbeat.

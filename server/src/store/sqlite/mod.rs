@@ -8,6 +8,7 @@ mod claim;
 mod close;
 mod demand;
 mod events;
+mod farm;
 mod jobs;
 mod meshes;
 mod offers;

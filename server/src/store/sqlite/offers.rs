@@ -30,6 +30,7 @@ macro_rules! offers_of {
             " AND t.state = 'ready' AND t.paused = 0 AND t.run_at <= $2 AND ",
             $can,
             "
+                   AND (t.needs_worker IS NULL OR t.needs_worker = $1)
                    AND NOT (t.leases > 0 AND EXISTS (
                        SELECT 1 FROM attempt a
                        WHERE a.task_id = t.id AND a.worker_id = $1 AND a.outcome = 'worker' AND a.finished_at > $2 - $6))
@@ -44,6 +45,7 @@ macro_rules! offers_of {
                            WHERE o.id <> $1 AND o.removed_at IS NULL AND NOT o.draining AND o.last_seen_at > $2 - $8
                              AND (NOT t.needs_cpu OR o.has_cpu) AND (NOT t.needs_gpu OR o.has_gpu)
                              AND (t.needs_adapter IS NULL OR instr(o.gpu_names, t.needs_adapter) > 0)
+                             AND (t.needs_worker IS NULL OR t.needs_worker = o.id)
                              AND NOT EXISTS (SELECT 1 FROM worker_block b
                                              WHERE b.job_id = t.job_id AND b.worker_id = o.id
                                                AND b.blocked_until > $2)))

@@ -1,0 +1,8 @@
+//! The regression farm: suites, runs and their verdicts, baselines and decisions. Its rules are in [`crate::farm`].
+
+mod decisions;
+mod follow;
+mod history;
+mod pictures;
+mod runs;
+mod suites;

@@ -1,0 +1,8 @@
+//! The regression farm's tables.
+
+mod baselines;
+mod cases;
+mod decisions;
+mod history;
+mod runs;
+mod suites;
