@@ -7,7 +7,7 @@ use reqwest::header::CONTENT_TYPE;
 use super::{Client, Result, segment};
 use crate::farm::{
     Baseline, BaselineReset, Calibration, Decision, DecisionKind, DecisionNote, Decisions, History, NewCalibration,
-    NewRun, NewSuite, Run, RunKind, RunState, RunSummary, Suite, SuiteSummary,
+    NewRun, NewSchedule, NewSuite, Run, RunKind, RunState, RunSummary, Schedule, Suite, SuiteSummary,
 };
 use crate::page::Page;
 
@@ -174,6 +174,19 @@ impl Client {
 
     pub async fn calibration(&self, id: &str) -> Result<Calibration> {
         self.get_json(&format!("v1/farm/calibrations/{}", segment(id)), &()).await
+    }
+
+    pub async fn create_schedule(&self, schedule: &NewSchedule) -> Result<Schedule> {
+        self.post_json("v1/farm/schedules", schedule).await
+    }
+
+    pub async fn schedules(&self) -> Result<Page<Schedule>> {
+        self.get_json("v1/farm/schedules", &()).await
+    }
+
+    pub async fn delete_schedule(&self, id: &str) -> Result<()> {
+        let path = format!("v1/farm/schedules/{}", segment(id));
+        self.send(self.request(Method::DELETE, &path)).await.map(|_| ())
     }
 }
 

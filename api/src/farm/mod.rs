@@ -9,6 +9,7 @@ mod baseline;
 mod calibration;
 mod image;
 mod run;
+mod schedule;
 mod suite;
 mod text;
 mod time;
@@ -24,6 +25,7 @@ pub use run::{
     CaseState, FarmJob, FarmJobPhase, NewRun, Run, RunCase, RunCounts, RunKind, RunState, RunSummary, SettingsPatch,
     check_labels,
 };
+pub use schedule::{NewSchedule, Schedule};
 pub use suite::{CaseDefaults, NewSuite, SceneSource, Suite, SuiteCase, SuiteSummary, SuiteTestCase};
 pub use text::{check_name, check_text};
 pub use time::{Confirmation, ConfirmationState, Spread, TimeRatio, TimeResult, TimeVerdict};

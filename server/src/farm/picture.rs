@@ -201,7 +201,7 @@ mod tests {
     #[test]
     fn any_accepted_picture_is_right() {
         let (one, two, other) = (grey(8, 8, &[0.2]), grey(8, 8, &[0.8]), grey(8, 8, &[0.79, 0.8]));
-        let accepted = [known(&[one.clone()]), known(&[two.clone()])];
+        let accepted = [known(std::slice::from_ref(&one)), known(std::slice::from_ref(&two))];
         let identical = judge(&ImageTolerance::IDENTICAL, &two, &accepted);
         assert_eq!((identical.verdict, identical.accepted), (ImageVerdict::Identical, Some(two.pixels.clone())));
         let changed = judge(&ImageTolerance::IDENTICAL, &other, &accepted);
@@ -236,7 +236,11 @@ mod tests {
     #[test]
     fn repetitions_that_differ_are_noticed() {
         let (one, two) = (grey(4, 4, &[0.5]), grey(4, 4, &[0.6]));
-        let judged = judge_picture(&ImageTolerance::IDENTICAL, &[one.clone(), two.clone()], &[known(&[one.clone()])]);
+        let judged = judge_picture(
+            &ImageTolerance::IDENTICAL,
+            &[one.clone(), two.clone()],
+            &[known(std::slice::from_ref(&one))],
+        );
         let result = judged.unwrap().result;
         assert!(result.unsteady && result.verdict == ImageVerdict::Identical);
         assert!(!super::super::passes(&result, None));

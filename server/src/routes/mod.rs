@@ -90,6 +90,8 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(farm::runs::get_history))
         .routes(routes!(farm::runs::create_calibration))
         .routes(routes!(farm::runs::get_calibration))
+        .routes(routes!(farm::schedules::list_schedules, farm::schedules::create_schedule))
+        .routes(routes!(farm::schedules::delete_schedule))
         .routes(routes!(blobs::store_blob))
         .routes(routes!(blobs::get_blob, blobs::put_blob))
         .routes(routes!(blobs::missing_blobs))

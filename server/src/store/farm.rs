@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use async_trait::async_trait;
 use lightshaft_api::farm::{
     AcceptedPicture, Baseline, CaseState, Decision, DecisionKind, FarmJob, FarmJobPhase, HistoryPoint, ImageResult,
-    ImageTolerance, PictureSource, Run, RunKind, RunState, RunSummary, SettingsPatch, Suite, SuiteSummary, TimeMetric,
-    TimeResult, TimeTolerance,
+    ImageTolerance, PictureSource, Run, RunKind, RunState, RunSummary, Schedule, SettingsPatch, Suite, SuiteSummary,
+    TimeMetric, TimeResult, TimeTolerance,
 };
 use lightshaft_api::job::Artifact;
 use lightshaft_api::settings::RenderSettings;
@@ -217,4 +217,18 @@ pub trait BaselineStore {
     async fn device_classes(&self, suite_name: &str, case: &str) -> Result<Vec<String>>;
     /// The newest finished checks of a case, at most `limit`, oldest first.
     async fn history(&self, suite_name: &str, case: &str, class: &str, limit: u32) -> Result<Vec<HistoryPoint>>;
+}
+
+#[async_trait]
+pub trait ScheduleStore {
+    /// False when there is one of this name.
+    async fn add_schedule(&self, schedule: &Schedule) -> Result<bool>;
+    /// All by name, or those that are due at a time.
+    async fn schedules(&self, due_at: Option<Millis>) -> Result<Vec<Schedule>>;
+    /// False for an unknown one.
+    async fn delete_schedule(&self, id: &str) -> Result<bool>;
+    /// Moves a due schedule to its next time; false when another has done so, or it is gone.
+    async fn take_schedule(&self, due: &Schedule, next_at: Option<Millis>, now: Millis) -> Result<bool>;
+    /// The id of the run that it began, or why it could not.
+    async fn note_begun(&self, id: &str, run: std::result::Result<&str, &str>) -> Result<()>;
 }

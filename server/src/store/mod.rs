@@ -25,7 +25,7 @@ use lightshaft_api::worker::{NewWorker, Worker};
 
 pub use self::farm::{
     Acceptance, BaselineKey, BaselineStore, CaseDecision, CaseJob, CaseRecord, CaseStep, DecisionQuery, OpenCase,
-    Reference, ReferenceTimes, RunQuery, RunRecord, RunStore, Step, SuiteStore,
+    Reference, ReferenceTimes, RunQuery, RunRecord, RunStore, ScheduleStore, Step, SuiteStore,
 };
 use crate::queue::{Demand, Millis, TaskCounts};
 
@@ -260,7 +260,7 @@ pub struct Totals {
 }
 
 #[async_trait]
-pub trait Store: SuiteStore + RunStore + BaselineStore + Send + Sync + 'static {
+pub trait Store: SuiteStore + RunStore + BaselineStore + ScheduleStore + Send + Sync + 'static {
     /// Fails when nothing can be written.
     async fn check_writable(&self, now: Millis) -> Result<()>;
     async fn totals(&self) -> Result<Totals>;

@@ -2,6 +2,7 @@
 
 mod baselines;
 mod runs;
+mod schedules;
 mod suites;
 mod times;
 

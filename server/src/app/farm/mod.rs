@@ -5,4 +5,5 @@ mod follow;
 mod history;
 mod pictures;
 mod runs;
+mod schedules;
 mod suites;

@@ -78,6 +78,13 @@ impl App {
         self.calibration(&record.id).await
     }
 
+    /// Everything that is wrong with a run.
+    pub(super) async fn run_errors(&self, new: &NewRun) -> ApiResult<Vec<FieldError>> {
+        let wanted =
+            Wanted { scenes: &new.scenes, overrides: &new.overrides, cases: &new.cases, priority: new.priority };
+        Ok(self.try_run(&new.suite, &wanted, new.validate()).await?.err().unwrap_or_default())
+    }
+
     async fn begin_run(&self, record: &RunRecord) -> ApiResult<Run> {
         self.store.create_run(record, self.now()).await?;
         tracing::info!(run.id = %record.id, kind = record.kind.as_str(), cases = record.cases.len(), "farm run begun");
@@ -135,17 +142,26 @@ impl App {
         })
     }
 
-    /// The suite and the cases of a run, with scenes found and settings checked.
     async fn check_run(
         &self,
         suite: &str,
         wanted: &Wanted<'_>,
-        mut errors: Vec<FieldError>,
+        errors: Vec<FieldError>,
     ) -> ApiResult<(Suite, Vec<CaseRecord>)> {
         self.check_running()?;
+        self.try_run(suite, wanted, errors).await?.map_err(ApiError::fields)
+    }
+
+    /// The suite and the cases of a run, with scenes found and settings checked; or what is wrong with them.
+    async fn try_run(
+        &self,
+        suite: &str,
+        wanted: &Wanted<'_>,
+        mut errors: Vec<FieldError>,
+    ) -> ApiResult<Result<(Suite, Vec<CaseRecord>), Vec<FieldError>>> {
         let Some(suite) = self.store.suite(suite).await? else {
             errors.push(FieldError::new("/suite", "there is no such suite"));
-            return Err(ApiError::fields(errors));
+            return Ok(Err(errors));
         };
         let names: BTreeSet<&str> = suite.cases.iter().map(|case| case.name.as_str()).collect();
         for (i, name) in wanted.cases.iter().enumerate().filter(|(_, name)| !names.contains(name.as_str())) {
@@ -164,7 +180,7 @@ impl App {
                 break;
             }
         }
-        if errors.is_empty() { Ok((suite, records)) } else { Err(ApiError::fields(errors)) }
+        Ok(if errors.is_empty() { Ok((suite, records)) } else { Err(errors) })
     }
 
     async fn check_case(

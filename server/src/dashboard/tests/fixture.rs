@@ -155,7 +155,7 @@ pub(crate) fn run() -> Run {
                 "confirmation": { "state": if is_ok { "not_needed" } else { "confirmed" }, "reason": null, "a_s": [],
                     "b_s": [], "ratio": null } },
             "decision": is_ok.then(|| decision("approved")),
-            "jobs": [{ "job": "j-succeeded", "phase": "sample", "position": 0, "time_s": 1.0 }],
+            "versions": {}, "jobs": [{ "job": "j-succeeded", "phase": "sample", "position": 0, "time_s": 1.0 }],
             "artifacts": artifacts,
         })
     };

@@ -2,6 +2,7 @@
 
 pub(super) mod decisions;
 pub(super) mod runs;
+pub(super) mod schedules;
 pub(super) mod suites;
 
 use crate::error::{ApiError, ApiResult};

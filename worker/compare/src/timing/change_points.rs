@@ -92,7 +92,7 @@ mod tests {
     fn series(levels: &[(usize, f64)], seed: u64) -> Vec<f64> {
         let mut random = SplitMix(seed);
         let mut noisy = |level: f64| level * (1.0 + 0.04 * (random.below(1000) as f64 / 999.0 - 0.5));
-        levels.iter().flat_map(|&(count, level)| vec![level; count]).map(|level| noisy(level)).collect()
+        levels.iter().flat_map(|&(count, level)| vec![level; count]).map(&mut noisy).collect()
     }
 
     #[test]

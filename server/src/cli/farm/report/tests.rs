@@ -24,7 +24,7 @@ fn case(name: &str, verdict: &str, ok: Value, with: Value) -> Value {
             "ratio": { "value": 1.05, "low": 0.98, "high": 1.1, "p": 0.4 }, "limit": 1.1, "noise_floor": 0.03,
             "confirmation": { "state": "not_needed", "reason": null, "a_s": [], "b_s": [], "ratio": null },
         },
-        "decision": null, "jobs": [],
+        "decision": null, "versions": {}, "jobs": [],
         "artifacts": [{ "name": "image.png", "media_type": "image/png", "bytes": 1, "hash": "h", "href": "/x" }],
     });
     if let (Value::Object(case), Value::Object(with)) = (&mut case, with) {

@@ -5,4 +5,5 @@ mod cases;
 mod decisions;
 mod history;
 mod runs;
+mod schedules;
 mod suites;
