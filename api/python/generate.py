@@ -26,14 +26,22 @@ TARGET = HERE / "src" / "lightshaft" / "models.py"
 INPUTS = ["BenchmarkSettings", "BuildSettings", "RenderSettings"]
 #: What the client reads; with everything that these name.
 OUTPUTS = [
+    "Baseline",
+    "Calibration",
+    "Decision",
     "Event",
     "FieldError",
+    "History",
     "Job",
     "JobSummary",
     "Mesh",
+    "Run",
+    "RunSummary",
     "Scene",
     "Status",
     "StoredBlob",
+    "Suite",
+    "SuiteSummary",
     "ValidatedJob",
     "Worker",
 ]
@@ -57,7 +65,7 @@ def main() -> None:
 
 def generated() -> str:
     """The whole module as text."""
-    schemas: dict[str, Schema] = json.loads(DOCUMENT.read_text(encoding="utf-8"))["components"]["schemas"]
+    schemas = SCHEMAS
     inputs, outputs = reachable(schemas, INPUTS), reachable(schemas, OUTPUTS)
     names = sorted(inputs | outputs, key=lambda name: order(schemas, name))
     return "\n".join([HEAD, *(definition(name, schemas[name], name in inputs, inputs) for name in names)])
@@ -93,7 +101,7 @@ def references(value: Any) -> Iterator[str]:
 
 
 def is_alias(schema: Schema) -> bool:
-    return "enum" in schema or "oneOf" in schema
+    return "enum" in schema or "oneOf" in schema or not ("allOf" in schema or "properties" in schema)
 
 
 def definition(name: str, schema: Schema, is_input: bool, inputs: set[str]) -> str:
@@ -123,6 +131,10 @@ def definition(name: str, schema: Schema, is_input: bool, inputs: set[str]) -> s
 def alias(name: str, schema: Schema, inputs: set[str]) -> str:
     kind = annotation({key: value for key, value in schema.items() if key != "description"}, inputs)
     if "enum" not in schema:
+        if not inputs:
+            # Told apart by its form alone: read as it is.
+            classes = "|".join(SCHEMAS.keys() - ALIASES)
+            kind = " | ".join(dict.fromkeys(re.sub(rf"\b({classes})\b", "dict[str, Any]", kind).split(" | ")))
         # In quotes: it may name classes that come later.
         return f"{name}: TypeAlias = {quoted(kind)}\n"
     if len(kind) > 80:
@@ -135,7 +147,8 @@ def annotation(schema: Schema, inputs: set[str]) -> str:
     """The type as Python writes it. Objects that are told apart by their form only are plain dictionaries."""
     if "$ref" in schema:
         name = schema["$ref"].rsplit("/", 1)[-1]
-        if name == "JobSettings":
+        if name == "JobSettings" or (not inputs and name in SENT):
+            # As it was sent, with every default.
             return "dict[str, Any]"
         return f"{name} | dict[str, Any]" if name in inputs and name not in ALIASES else name
     if "oneOf" in schema:
@@ -185,11 +198,10 @@ def docstring(text: str) -> str:
     return f'    """{body}"""\n' if len(lines) == 1 else f'    """{body}\n    """\n'
 
 
-ALIASES = {
-    name
-    for name, schema in json.loads(DOCUMENT.read_text(encoding="utf-8"))["components"]["schemas"].items()
-    if is_alias(schema)
-}
+SCHEMAS: dict[str, Schema] = json.loads(DOCUMENT.read_text(encoding="utf-8"))["components"]["schemas"]
+ALIASES = {name for name, schema in SCHEMAS.items() if is_alias(schema)}
+#: Classes of what is sent, of which every field is optional.
+SENT = reachable(SCHEMAS, INPUTS) - ALIASES
 
 if __name__ == "__main__":
     main()

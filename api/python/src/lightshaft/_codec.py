@@ -29,8 +29,9 @@ def _decode(kind: Any, value: Any, where: str) -> Any:
     if origin in (Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
-        [one] = [argument for argument in arguments if argument is not type(None)]
-        return _decode(one, value, where)
+        candidates = [argument for argument in arguments if argument is not type(None)]
+        # Of several forms none is ours to choose.
+        return _decode(candidates[0], value, where) if len(candidates) == 1 else value
     if origin is typing.Literal:
         # A newer service may know more of them.
         return _expect(str, value, where)

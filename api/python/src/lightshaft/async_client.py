@@ -7,13 +7,14 @@ from types import TracebackType
 from typing import Self
 
 from ._api.artifacts import Artifacts
+from ._api.farm import Farm
 from ._api.jobs import Jobs
 from ._api.scenes import Scenes
 from ._api.service import Service
 from ._io import AsyncIo, Connection
 
 
-class Calls(Scenes, Jobs, Artifacts, Service):
+class Calls(Scenes, Jobs, Artifacts, Farm, Service):
     """Every call, over any `Io`."""
 
     async def close(self) -> None:

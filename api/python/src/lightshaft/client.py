@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 from ._api.jobs import Settings
 from ._download import OnReceived
+from ._farm_client import FarmClient, documented_as
 from ._io import Connection, SyncIo, iterate, run
 from ._page import Page
 from ._upload import OnSent
@@ -33,20 +34,8 @@ from .models import (
 if TYPE_CHECKING:
     from ._pictures import Array
 
-F = TypeVar("F", bound=Callable[..., Any])
 
-
-def _as(original: Callable[..., Any]) -> Callable[[F], F]:
-    """Documents a call as the other client's of the same name."""
-
-    def documented(call: F) -> F:
-        call.__doc__ = original.__doc__
-        return call
-
-    return documented
-
-
-class Client:
+class Client(FarmClient):
     """A Lightshaft service at one address. Connections are kept; `with` closes them. Threads may share a client."""
 
     def __init__(
@@ -63,7 +52,7 @@ class Client:
         that failed for a passing reason is repeated; only those that do nothing twice are.
         """
         connection = Connection.to(url, timeout_s, headers)
-        self._calls = Calls(SyncIo(connection), connection.url, retries)
+        self._calls: Calls = Calls(SyncIo(connection), connection.url, retries)
 
     @property
     def url(self) -> str:
@@ -86,39 +75,39 @@ class Client:
 
     # Scenes
 
-    @_as(AsyncClient.upload_scene)
+    @documented_as(AsyncClient.upload_scene)
     def upload_scene(
         self, path: str | os.PathLike[str], *, name: str | None = None, on_sent: OnSent | None = None
     ) -> Scene:
         return run(self._calls.upload_scene(path, name=name, on_sent=on_sent))
 
-    @_as(AsyncClient.validate_scene)
+    @documented_as(AsyncClient.validate_scene)
     def validate_scene(self, path: str | os.PathLike[str]) -> SceneSummary:
         return run(self._calls.validate_scene(path))
 
-    @_as(AsyncClient.scene)
+    @documented_as(AsyncClient.scene)
     def scene(self, scene: str) -> Scene:
         return run(self._calls.scene(scene))
 
-    @_as(AsyncClient.scenes)
+    @documented_as(AsyncClient.scenes)
     def scenes(self, *, limit: int | None = None, cursor: str | None = None) -> Page[Scene]:
         return run(self._calls.scenes(limit=limit, cursor=cursor))
 
-    @_as(AsyncClient.iterate_scenes)
+    @documented_as(AsyncClient.iterate_scenes)
     def iterate_scenes(self) -> Iterator[Scene]:
         return iterate(self._calls.iterate_scenes())
 
-    @_as(AsyncClient.delete_scene)
+    @documented_as(AsyncClient.delete_scene)
     def delete_scene(self, scene: str) -> None:
         return run(self._calls.delete_scene(scene))
 
-    @_as(AsyncClient.thumbnail)
+    @documented_as(AsyncClient.thumbnail)
     def thumbnail(self, scene: str) -> bytes:
         return run(self._calls.thumbnail(scene))
 
     # Jobs
 
-    @_as(AsyncClient.submit)
+    @documented_as(AsyncClient.submit)
     def submit(
         self,
         scene: str | Scene,
@@ -142,17 +131,17 @@ class Client:
             )
         )
 
-    @_as(AsyncClient.validate_job)
+    @documented_as(AsyncClient.validate_job)
     def validate_job(
         self, scene: str | Scene, settings: Settings | None = None, *, kind: JobKind | None = None
     ) -> dict[str, Any]:
         return run(self._calls.validate_job(scene, settings, kind=kind))
 
-    @_as(AsyncClient.job)
+    @documented_as(AsyncClient.job)
     def job(self, job: str) -> Job:
         return run(self._calls.job(job))
 
-    @_as(AsyncClient.jobs)
+    @documented_as(AsyncClient.jobs)
     def jobs(
         self,
         *,
@@ -178,7 +167,7 @@ class Client:
             )
         )
 
-    @_as(AsyncClient.iterate_jobs)
+    @documented_as(AsyncClient.iterate_jobs)
     def iterate_jobs(
         self,
         *,
@@ -193,7 +182,7 @@ class Client:
             self._calls.iterate_jobs(state=state, kind=kind, scene=scene, q=q, automatic=automatic, labels=labels)
         )
 
-    @_as(AsyncClient.wait)
+    @documented_as(AsyncClient.wait)
     def wait(
         self,
         job: str | Job,
@@ -215,41 +204,41 @@ class Client:
             )
         )
 
-    @_as(AsyncClient.events)
+    @documented_as(AsyncClient.events)
     def events(self, job: str | Job | None = None, *, last_event_id: int | None = None) -> Iterator[Event]:
         return iterate(self._calls.events(job, last_event_id=last_event_id))
 
-    @_as(AsyncClient.cancel)
+    @documented_as(AsyncClient.cancel)
     def cancel(self, job: str | Job) -> Job:
         return run(self._calls.cancel(job))
 
-    @_as(AsyncClient.retry)
+    @documented_as(AsyncClient.retry)
     def retry(self, job: str | Job) -> Job:
         return run(self._calls.retry(job))
 
-    @_as(AsyncClient.change_job)
+    @documented_as(AsyncClient.change_job)
     def change_job(self, job: str | Job, *, priority: int | None = None, paused: bool | None = None) -> Job:
         return run(self._calls.change_job(job, priority=priority, paused=paused))
 
-    @_as(AsyncClient.delete_job)
+    @documented_as(AsyncClient.delete_job)
     def delete_job(self, job: str | Job) -> None:
         return run(self._calls.delete_job(job))
 
-    @_as(AsyncClient.log)
+    @documented_as(AsyncClient.log)
     def log(self, job: str | Job, *, attempt: str | None = None) -> str:
         return run(self._calls.log(job, attempt=attempt))
 
-    @_as(AsyncClient.preview)
+    @documented_as(AsyncClient.preview)
     def preview(self, job: str | Job) -> bytes:
         return run(self._calls.preview(job))
 
     # Artifacts
 
-    @_as(AsyncClient.artifact)
+    @documented_as(AsyncClient.artifact)
     def artifact(self, job: str | Job, name: str = "image.png") -> bytes:
         return run(self._calls.artifact(job, name))
 
-    @_as(AsyncClient.download)
+    @documented_as(AsyncClient.download)
     def download(
         self,
         job: str | Job,
@@ -260,56 +249,56 @@ class Client:
     ) -> Path:
         return run(self._calls.download(job, name, path, on_received=on_received))
 
-    @_as(AsyncClient.download_all)
+    @documented_as(AsyncClient.download_all)
     def download_all(self, job: str | Job, folder: str | os.PathLike[str]) -> list[Path]:
         return run(self._calls.download_all(job, folder))
 
-    @_as(AsyncClient.artifacts)
+    @documented_as(AsyncClient.artifacts)
     def artifacts(self, job: str | Job) -> list[Artifact]:
         return run(self._calls.artifacts(job))
 
-    @_as(AsyncClient.picture)
+    @documented_as(AsyncClient.picture)
     def picture(self, job: str | Job, name: str = "image.exr", *, layer: str | None = None) -> Array:
         return run(self._calls.picture(job, name, layer=layer))
 
-    @_as(AsyncClient.layers)
+    @documented_as(AsyncClient.layers)
     def layers(self, job: str | Job, name: str = "image.exr") -> dict[str, Array]:
         return run(self._calls.layers(job, name))
 
     # Service
 
-    @_as(AsyncClient.store_blob)
+    @documented_as(AsyncClient.store_blob)
     def store_blob(self, path: str | os.PathLike[str], *, on_sent: OnSent | None = None) -> StoredBlob:
         return run(self._calls.store_blob(path, on_sent=on_sent))
 
-    @_as(AsyncClient.mesh)
+    @documented_as(AsyncClient.mesh)
     def mesh(self, mesh: str) -> Mesh:
         return run(self._calls.mesh(mesh))
 
-    @_as(AsyncClient.meshes)
+    @documented_as(AsyncClient.meshes)
     def meshes(self, *, limit: int | None = None, cursor: str | None = None) -> Page[Mesh]:
         return run(self._calls.meshes(limit=limit, cursor=cursor))
 
-    @_as(AsyncClient.iterate_meshes)
+    @documented_as(AsyncClient.iterate_meshes)
     def iterate_meshes(self) -> Iterator[Mesh]:
         return iterate(self._calls.iterate_meshes())
 
-    @_as(AsyncClient.workers)
+    @documented_as(AsyncClient.workers)
     def workers(self) -> list[Worker]:
         return run(self._calls.workers())
 
-    @_as(AsyncClient.worker)
+    @documented_as(AsyncClient.worker)
     def worker(self, worker: str) -> Worker:
         return run(self._calls.worker(worker))
 
-    @_as(AsyncClient.drain_worker)
+    @documented_as(AsyncClient.drain_worker)
     def drain_worker(self, worker: str) -> Worker:
         return run(self._calls.drain_worker(worker))
 
-    @_as(AsyncClient.undrain_worker)
+    @documented_as(AsyncClient.undrain_worker)
     def undrain_worker(self, worker: str) -> Worker:
         return run(self._calls.undrain_worker(worker))
 
-    @_as(AsyncClient.status)
+    @documented_as(AsyncClient.status)
     def status(self) -> Status:
         return run(self._calls.status())

@@ -63,6 +63,12 @@ CacheSource = Literal["built", "memory", "disk", "fetched"]
 
 CameraChoice: TypeAlias = "int | str | CustomCamera | dict[str, Any]"
 
+CaseState = Literal["rendering", "confirming", "finished", "cancelled"]
+
+ConfirmationState = Literal["not_needed", "running", "confirmed", "refuted", "impossible"]
+
+DecisionKind = Literal["approved", "rejected", "reset"]
+
 DeviceChoice = Literal["auto", "cpu", "gpu"]
 
 DeviceKind = Literal["cpu", "gpu"]
@@ -92,6 +98,17 @@ EventKind = Literal[
     "task.cancelled",
 ]
 
+FarmJobPhase = Literal["warm_up", "sample", "a", "b"]
+
+#: No pixel may differ.
+Identical = Literal["identical"]
+
+#: `"identical"`, or the limits of what still passes. A picture whose decoded pixels are those of an accepted one
+#: always passes.
+ImageTolerance: TypeAlias = "Identical | dict[str, Any]"
+
+ImageVerdict = Literal["identical", "within_tolerance", "changed", "missing", "failed"]
+
 Integrator = Literal["aov", "ao", "direct", "whitted", "path"]
 
 JobKind = Literal["render", "benchmark", "build"]
@@ -104,6 +121,9 @@ LineSpaceBuilder = Literal["mask", "clip", "ray_cast", "layered"]
 
 #: What is stored for a shaft: all lines between two patches.
 LineSpacePayload = Literal["binary", "candidate", "tri_state", "coverage"]
+
+#: Times are kept, but not judged.
+Off = Literal["off"]
 
 #: What to do where a Line Space needs more than its budget.
 OnOverBudget = Literal["refuse", "shrink", "skip"]
@@ -119,13 +139,23 @@ Output = Literal["png", "exr"]
 #: What a worker is at within a task.
 Phase = Literal["fetch", "import", "structures", "prepare", "render", "output"]
 
+#: Which file a case is judged by: the EXR (linear, as it was computed) where there is one.
+PictureSource = Literal["exr", "png"]
+
 #: What Line Spaces are used for.
 Policy: TypeAlias = 'Literal["exact", "approximate_occlusion", "adaptive", "representative"] | dict[str, Any]'
 
 #: What is done in the box in which an indirect ray starts.
 RepresentativeOrigin = Literal["exact", "approximate"]
 
+RunKind = Literal["check", "calibration"]
+
+RunState = Literal["running", "finished", "cancelled"]
+
 ServiceState = Literal["active", "idle", "waiting", "inoperable"]
+
+#: Settings of a render of which only some are given, over others: field by field.
+SettingsPatch: TypeAlias = "dict[str, Any]"
 
 Split: TypeAlias = "dict[str, Any]"
 
@@ -143,6 +173,14 @@ TaskState = Literal[
 
 #: What a task does.
 TaskWork: TypeAlias = "dict[str, Any]"
+
+#: Which of a job's metrics is the time of a case.
+TimeMetric = Literal["render_s", "build_s", "prepare_s", "total_s"]
+
+#: `"off"`, or how much longer a case may take.
+TimeTolerance: TypeAlias = "Off | dict[str, Any]"
+
+TimeVerdict = Literal["faster", "same", "slower", "too_noisy_to_say"]
 
 ToneMap = Literal["pbr_neutral", "agx", "none"]
 
@@ -183,6 +221,33 @@ class Acceleration:
     #: Of BVHs: a triangle may stand in several leaves where that pays.
     spatial_splits: bool | None = None
     structure: StructureKind | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcceptedPicture:
+    """Any of a case's accepted pictures is right."""
+
+    accepted_at: datetime
+    artifacts: list[Artifact]
+    #: Id of the decision.
+    decision: str
+    label: str
+    #: BLAKE3 of the decoded pixels.
+    pixels: str
+    source: PictureSource
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcceptedTimes:
+    """The times of an accepted run."""
+
+    accepted_at: datetime
+    decision: str
+    label: str
+    metric: TimeMetric
+    samples_s: list[float]
+    #: What rendered it: versions of engine, structures and build.
+    versions: dict[str, str]
 
 
 @dataclass(kw_only=True)
@@ -227,6 +292,19 @@ class Attempt:
     task: str
     worker: str
     worker_name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """What a case has to be like, on a class of devices."""
+
+    baseline: str
+    case: str
+    device_class: str
+    pictures: list[AcceptedPicture]
+    #: Name of the suite.
+    suite: str
+    times: list[AcceptedTimes]
 
 
 @dataclass(kw_only=True)
@@ -300,6 +378,35 @@ class CacheStatus:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Calibration:
+    cases: list[CalibrationCase]
+    created_at: datetime
+    finished_at: datetime | None = None
+    #: Also the id of its run: `GET /v1/farm/runs/{id}` tells of its jobs.
+    id: str
+    label: str
+    labels: dict[str, str]
+    state: RunState
+    suite: str
+    suite_name: str
+    times: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationCase:
+    case: str
+    device_class: str | None = None
+    #: The median of each run of the case that has ended.
+    medians_s: list[float]
+    metric: TimeMetric
+    #: How far two of them lie apart, as a ratio less 1, in 19 of 20 pairs; null until the case has finished.
+    noise_floor: float | None = None
+    #: Whether all pictures were the same to the pixel; null until the case has finished. If not, `identical` is no fit
+    #: tolerance.
+    steady: bool | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class CameraSummary:
     #: `perspective` or `orthographic`.
     kind: str
@@ -313,6 +420,23 @@ class Configuration:
     acceleration: Acceleration | dict[str, Any] | None = None
     #: 1 to 64 letters, digits, spaces and `.,_+()-`; each different.
     name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Confirmation:
+    """The interleaved re-run of a suspected slow-down: baseline and this run in turns, on one worker, structures
+    warm.
+    """
+
+    #: Seconds of the baseline's side, without the warm-up.
+    a_s: list[float]
+    #: Seconds of this run's side.
+    b_s: list[float]
+    #: Of this run's to the baseline's.
+    ratio: TimeRatio | None = None
+    #: In words; null when not needed.
+    reason: str | None = None
+    state: ConfirmationState
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,6 +454,28 @@ class CustomCamera:
     position: list[float]
     target: list[float]
     up: list[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """What somebody decided. Never changed, never deleted."""
+
+    at: datetime
+    baseline: str
+    #: Null of a reset of all cases.
+    case: str | None = None
+    device_class: str | None = None
+    id: str
+    kind: DecisionKind
+    label: str | None = None
+    #: Identity of the picture that was decided of.
+    pixels: str | None = None
+    #: Null of a reset. A run may have been deleted since.
+    run: str | None = None
+    #: Name of the suite.
+    suite: str
+    who: str
+    why: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -366,6 +512,18 @@ class Event:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FarmJob:
+    """A job of a case. It may have been deleted since."""
+
+    job: str
+    phase: FarmJobPhase
+    #: From 0, in its phase.
+    position: int
+    #: The metric that the case is timed by; null until the job has succeeded.
+    time_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class FieldError:
     detail: str
     #: JSON pointer into the request body (`/settings/width`), `query/<name>`, `header/<name>`, or a position in an
@@ -381,6 +539,100 @@ class Ground:
     #: World height; the scene's lowest point when null.
     height: float | None = None
     roughness: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class History:
+    """A case over its labels, oldest first."""
+
+    baseline: str
+    case: str
+    #: Indices into `points` at which the times change to another level (E-divisive, 99 % confidence).
+    change_points: list[int]
+    #: Newest first.
+    decisions: list[Decision]
+    device_class: str
+    #: Every class that the case was rendered on.
+    device_classes: list[str]
+    #: Of unchanged runs; null without a calibration.
+    noise_floor: float | None = None
+    pictures: list[AcceptedPicture]
+    points: list[HistoryPoint]
+    #: Name of the suite.
+    suite: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HistoryPoint:
+    at: datetime
+    confirmation: ConfirmationState
+    image: ImageVerdict
+    label: str
+    labels: dict[str, str]
+    lower_quartile_s: float | None = None
+    median_s: float | None = None
+    metric: TimeMetric
+    ok: bool
+    #: Where its picture is, as PNG.
+    picture: str | None = None
+    pixels: str | None = None
+    run: str
+    time: TimeVerdict | None = None
+    upper_quartile_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageFigures:
+    differing_pixels: int
+    flip_mean: float
+    #: The FLIP error that 99 % of the pixels do not exceed.
+    flip_p99: float
+    #: Mean absolute error of linear colour.
+    mae: float
+    #: Column and row of the pixel with the largest difference; null when nothing differs.
+    max_at: list[int] | None = None
+    #: Of any channel.
+    max_difference: float
+    pixels: int
+    #: In dB, of the pictures as a display shows them; null where they are the same there.
+    psnr: float | None = None
+    rel_mse: float
+    #: Of linear colour.
+    rmse: float
+    ssim: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageLimits:
+    """What still passes; a picture must keep to every limit that is given."""
+
+    #: Share of the pixels that differ at all, 0 to 1.
+    max_differing: float | None = None
+    #: Mean FLIP error, 0 to 1.
+    max_flip: float | None = None
+    #: Root mean square error of linear colour.
+    max_rmse: float | None = None
+    #: For sampled effects: repetitions are rendered with other seeds, and their mean is tested pixel by pixel.
+    z_test: ZTest | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageResult:
+    """A case's picture against the accepted one that is closest to it."""
+
+    #: Identity of the accepted picture that it was compared with: the closest by mean FLIP. Null when there is none.
+    accepted: str | None = None
+    #: Null when the pictures are identical, differ in size, or there is nothing to compare with.
+    figures: ImageFigures | None = None
+    #: BLAKE3 of the decoded pixels: the picture's identity. Null without a picture.
+    pixels: str | None = None
+    #: Why it failed or changed, in words: the limits that it passes.
+    reason: str | None = None
+    source: PictureSource | None = None
+    #: Whether repetitions gave different pixels although their seed was the same.
+    unsteady: bool
+    verdict: ImageVerdict
+    z_test: ZTestFigures | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -637,6 +889,91 @@ class Representative:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RunCase:
+    """One case of a run."""
+
+    #: `image.png`, `image.exr`; of a changed picture also `heat-map.png`, `difference.png`, and `accepted.png`,
+    #: `accepted.exr`: what it was compared with.
+    artifacts: list[Artifact]
+    #: What somebody decided of it last.
+    decision: Decision | None = None
+    #: Null until its first job has ended.
+    device_class: str | None = None
+    #: Null until it has finished.
+    image: ImageResult | None = None
+    jobs: list[FarmJob]
+    name: str
+    #: Whether it passes or was approved; null until it has finished.
+    ok: bool | None = None
+    repeat: int
+    #: Id of the scene.
+    scene: str
+    #: As rendered, the run's overrides included.
+    settings: dict[str, Any]
+    state: CaseState
+    #: Null until it has finished, and without a picture.
+    time: TimeResult | None = None
+    time_tolerance: TimeTolerance
+    tolerance: ImageTolerance
+    #: Of what rendered it: engine, structures, and the hash of the program.
+    versions: dict[str, str]
+    #: The worker that renders all of it, once it is known.
+    worker: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunCounts:
+    """How many cases of a run are what."""
+
+    cases: int
+    changed: int
+    failed: int
+    faster: int
+    #: Cases with a verdict.
+    finished: int
+    identical: int
+    missing: int
+    #: Finished ones that pass, or were approved.
+    ok: int
+    rejected: int
+    same: int
+    slower: int
+    too_noisy_to_say: int
+    #: Finished ones that do not pass, and of which nobody has decided.
+    undecided: int
+    within_tolerance: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSummary:
+    """A run in a list."""
+
+    baseline: str
+    counts: RunCounts
+    created_at: datetime
+    finished_at: datetime | None = None
+    id: str
+    kind: RunKind
+    label: str
+    labels: dict[str, str]
+    #: Whether every case passes or was approved; null until it has finished. A calibration passes when nothing failed.
+    ok: bool | None = None
+    state: RunState
+    suite: str
+    suite_name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSource:
+    """A file beside the suite, or a scene of the generator."""
+
+    #: Path, relative to the suite's file.
+    file: str | None = None
+    #: What follows `lightshaft scene generate`: a kind, and options.
+    generate: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneSummary:
     """What a scene holds: found on import."""
 
@@ -659,6 +996,14 @@ class SceneSummary:
     #: Over unique meshes.
     triangles_total: int
     warnings: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    lower_quartile_s: float
+    median_s: float
+    samples: int
+    upper_quartile_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -707,6 +1052,44 @@ class Structure:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Suite:
+    """A version of a suite."""
+
+    cases: list[SuiteTestCase]
+    created_at: datetime
+    description: str
+    #: BLAKE3 of the content: the version.
+    hash: str
+    id: str
+    name: str
+    scenes: dict[str, SceneSource]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteSummary:
+    cases: int
+    created_at: datetime
+    description: str
+    #: BLAKE3 of the content: the version.
+    hash: str
+    id: str
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteTestCase:
+    """A case with every default filled in."""
+
+    device_class: str | None = None
+    image: ImageTolerance
+    name: str
+    repeat: int
+    scene: str
+    settings: dict[str, Any]
+    time: TimeTolerance
+
+
+@dataclass(frozen=True, kw_only=True)
 class Task:
     #: Attempts spent.
     attempt: int
@@ -720,6 +1103,48 @@ class Task:
     ready_at: datetime | None = None
     state: TaskState
     work: TaskWork
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeLimit:
+    #: The median may be this many times the baseline's before it is suspected; more than 1, at most 100. Where
+    #: calibration found more noise than that, the noise counts.
+    max_ratio: float
+    metric: TimeMetric
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeRatio:
+    high: float
+    #: Between these it lies with a confidence of 95 % (percentile bootstrap).
+    low: float
+    #: Of the Mann-Whitney test that both sides are alike, two-sided.
+    p: float
+    value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeResult:
+    """A case's times against the baseline's."""
+
+    #: Of the baseline's samples.
+    baseline: Spread | None = None
+    confirmation: Confirmation
+    #: A ratio beyond this is suspected: the tolerance, or the noise where that is more.
+    limit: float | None = None
+    metric: TimeMetric
+    #: How far the medians of unchanged runs lie apart, as a ratio less 1, in 19 of 20 cases; null without a
+    #: calibration.
+    noise_floor: float | None = None
+    #: This run's median over the baseline's.
+    ratio: TimeRatio | None = None
+    #: The verdict in words, or why there is none.
+    reason: str
+    #: Seconds of each repetition, in the order in which they ran; without the warm-up.
+    samples_s: list[float]
+    spread: Spread | None = None
+    #: Null when it is not judged: the tolerance is `off`, or the baseline has no times of this metric.
+    verdict: TimeVerdict | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -757,6 +1182,31 @@ class WorkerCounts:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ZTest:
+    """The per-pixel test of the mean of a run's repetitions against the mean and variance of the baseline's."""
+
+    #: Share of the pixels that may fail nevertheless, 0 to 0.1: the test supposes a normal distribution, and fireflies
+    #: have none.
+    max_failing: float
+    #: The chance that an unchanged picture fails at a pixel, over all pixels together (corrected after Sidak); 1e-6 to
+    #: 0.5.
+    significance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZTestFigures:
+    """A per-pixel Z-test with Sidak's correction."""
+
+    #: A statistic beyond this fails.
+    critical_z: float
+    #: Pixels that fail.
+    failing_pixels: int
+    #: Largest statistic of any channel of any pixel, in standard deviations.
+    max_z: float
+    pixels: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Job(JobSummary):
     """A whole job."""
 
@@ -771,6 +1221,18 @@ class Job(JobSummary):
     tasks: list[Task]
     #: Why none of its tasks runs, while the job waits.
     waiting: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(RunSummary):
+    """A whole run."""
+
+    #: In the suite's order.
+    cases: list[RunCase]
+    overrides: SettingsPatch
+    priority: int
+    #: Scenes by the names that the suite gives them.
+    scenes: dict[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
