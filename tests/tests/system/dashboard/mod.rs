@@ -2,6 +2,7 @@
 
 mod actions;
 mod compare;
+mod farm;
 mod form;
 mod newcomer;
 mod pages;
