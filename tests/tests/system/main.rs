@@ -10,6 +10,7 @@ mod devices;
 mod documentation;
 mod failures;
 mod farm;
+mod farm_suite;
 mod http;
 mod jobs;
 mod outages;
