@@ -22,7 +22,7 @@ pub struct LineSpace {
     /// 32 with the others, 8 when null. Of `candidate`: 1 to 32, 6 when null. Of `coverage`: 1 to 32, 8 when null.
     pub n: Option<u32>,
     /// Levels of the structure below its root whose boxes have Line Spaces. Of `two_level`: 0, the mesh's own box, when null.
-    /// Of `ntree`: all levels of nodes when null.
+    /// Of `ntree`: 1, the nodes right below the root, when null.
     pub depth: Option<u32>,
     /// How it is made. Of `binary`: `mask` (when null), `clip` or `ray_cast`. Of `tri_state`: `layered`. Of the others:
     /// `ray_cast`.

@@ -115,6 +115,10 @@ impl Executor {
     }
 }
 
+/// Levels of an N-tree's nodes below the root that have Line Spaces when the job does not say: they are few enough to stay in the
+/// CPU's cache, where those of all levels cost more than they spare.
+const DEFAULT_CELL_DEPTH: u32 = 1;
+
 /// Line Spaces of the nodes of a flat scene's N-tree. They follow from its cells in less time than it takes to read them,
 /// so no cache keeps them.
 ///
@@ -128,7 +132,7 @@ pub(super) fn with_cell_shafts(
 ) -> Result<SceneAccel, TaskError> {
     let Some(tree) = accel.structures().first().and_then(Structure::cells) else { return Ok(accel) };
     let budget_bytes = wanted.mesh_budget_bytes.min(wanted.job_budget_bytes);
-    let asked = wanted.depth.map_or(tree.levels(), |depth| tree.levels().min(depth + 1));
+    let asked = tree.levels().min(wanted.depth.unwrap_or(DEFAULT_CELL_DEPTH) + 1);
     let of_levels = |levels| CellShafts::bytes_at_most(tree, &(0..levels));
     let levels = match wanted.on_over_budget {
         OnOverBudget::Refuse => asked,

@@ -155,7 +155,12 @@ fn rays_pass_nodes_of_an_ntree_by_without_a_change_of_the_picture() {
                 let acceleration = Acceleration { structure, n: Some(4), line_space, ..Acceleration::default() };
                 RenderSettings { integrator, acceleration, ..with_line_space(LineSpace::default()) }
             };
-            let asked = LineSpace { payload: LineSpacePayload::Binary, ask: Ask::Always, ..LineSpace::default() };
+            let asked = LineSpace {
+                payload: LineSpacePayload::Binary,
+                depth: Some(2),
+                ask: Ask::Always,
+                ..LineSpace::default()
+            };
             let expected = run(&executor, &TaskWork::Frame, &ntree(None), &inputs);
             let outputs = run(&executor, &TaskWork::Frame, &ntree(Some(asked)), &inputs);
             assert!(pixels(&outputs) == pixels(&expected), "{kind}");

@@ -700,7 +700,7 @@ class LineSpace:
     #: `ray_cast`.
     builder: LineSpaceBuilder | None = None
     #: Levels of the structure below its root whose boxes have Line Spaces. Of `two_level`: 0, the mesh's own box, when
-    #: null. Of `ntree`: all levels of nodes when null.
+    #: null. Of `ntree`: 1, the nodes right below the root, when null.
     depth: int | None = None
     #: Of `tri_state`: a tree that is fine only where shafts are undecided, instead of a table. Needs an `n` of 4, 8,
     #: 16 or 32, and is true for those when null.

@@ -147,8 +147,9 @@ fn step_through<I: Isa, S: Sink, const GATED: bool>(
         place
     };
     let mut level = 0;
-    // Where the ray came into the current cell.
+    // Where the ray came into the current cell, and through a plane across which axis; across none where it starts there.
     let mut t = start;
+    let mut entered = None;
     let mut place = enter(0, 0, [0; 3], t);
     let mut above = [const { MaybeUninit::<Place>::uninit() }; MAX_LEVELS];
     loop {
@@ -158,15 +159,19 @@ fn step_through<I: Isa, S: Sink, const GATED: bool>(
         let index = ((z * ny + y) * nx + x) as usize;
         if let Some(child) = tree.child(place.first_word, index) {
             if child & LEAF == 0 {
+                let below = enter(level + 1, child, place.cell.map(|at| at * n), t);
+                // The node in which a ray starts is asked nothing: it holds what the ray starts on.
                 let is_empty = GATED
-                    && shafts.and_then(|shafts| shafts.of_node(child)).is_some_and(|marks| {
-                        tester.look_ups += 1;
-                        is_empty(tree, lattice, marks, level, &place)
+                    && entered.is_some_and(|axis| {
+                        shafts.and_then(|shafts| shafts.of_node(child)).is_some_and(|marks| {
+                            tester.look_ups += 1;
+                            is_empty(marks, tree, lattice, level, [&place, &below], axis)
+                        })
                     });
                 if !is_empty {
                     above[level].write(place);
                     level += 1;
-                    place = enter(level, child, place.cell.map(|at| at * n), t);
+                    place = below;
                     continue;
                 }
                 tester.skipped += 1;
@@ -191,6 +196,7 @@ fn step_through<I: Isa, S: Sink, const GATED: bool>(
             }
             let at = place.cell[axis].wrapping_add(if forward[axis] { 1 } else { u32::MAX });
             if at >= place.low[axis] && at < place.high[axis] {
+                entered = Some(axis);
                 place.cell[axis] = at;
                 place.t_next[axis] = lattice.t_at(level, axis, at + u32::from(forward[axis]));
                 break;
@@ -205,38 +211,37 @@ fn step_through<I: Isa, S: Sink, const GATED: bool>(
     }
 }
 
-/// Whether the line of the ray meets nothing in the node that is the cell of `place`, a node of `level`.
+/// Whether the line of the ray meets nothing in the node that is the cell of `place`, a node of `level`, which the ray enters
+/// across `axis` at the cell of `below`.
 #[inline(always)]
-fn is_empty(tree: &CellTree, lattice: &LatticeRay<'_>, marks: &[u32], level: usize, place: &Place) -> bool {
+fn is_empty(
+    marks: &[u32],
+    tree: &CellTree,
+    lattice: &LatticeRay<'_>,
+    level: usize,
+    [place, below]: [&Place; 2],
+    axis: usize,
+) -> bool {
     let n = tree.n();
-    let upper: [bool; 3] = std::array::from_fn(|k| lattice.direction[k] > 0.0);
-    let near: [f32; 3] = std::array::from_fn(|k| match lattice.direction[k] != 0.0 {
-        true => lattice.t_at(level, k, place.cell[k] + u32::from(!upper[k])),
-        false => f32::NEG_INFINITY,
-    });
     let far = place.t_next;
-    let mut enter = usize::from(near[1] > near[0]);
-    enter = if near[2] > near[enter] { 2 } else { enter };
     let mut leave = usize::from(far[1] < far[0]);
     leave = if far[2] < far[leave] { 2 } else { leave };
-    // Also where a number is not one.
-    if !(near[enter].abs() < f32::MAX && far[leave].abs() < f32::MAX) {
+    let t = far[leave];
+    let patch = |axis: usize, is_upper: bool, at: &dyn Fn(usize) -> u32| Patch {
+        face: 2 * axis as u32 + u32::from(is_upper),
+        u: at(usize::from(axis == 0)),
+        v: at(2 - usize::from(axis == 2)),
+    };
+    let entry = patch(axis, lattice.direction[axis] <= 0.0, &|k| below.cell[k] - below.low[k]);
+    let exit = patch(leave, lattice.direction[leave] > 0.0, &|k| {
+        let at = (lattice.origin[k] + t * lattice.direction[k]) * tree.inverse_cell(level + 1, k);
+        // The cast saturates.
+        (at as u32).clamp(below.low[k], below.low[k] + n - 1) - below.low[k]
+    });
+    // Also where `t` is not a number.
+    if !(t.abs() < f32::MAX) || entry.face == exit.face {
         return false;
     }
-    let patch = |axis: usize, is_upper: bool, t: f32| {
-        let at = |k: usize| {
-            let at = (lattice.origin[k] + t * lattice.direction[k]) * tree.inverse_cell(level + 1, k);
-            // The cast saturates.
-            (at as u32).clamp(place.cell[k] * n, place.cell[k] * n + n - 1) - place.cell[k] * n
-        };
-        Patch {
-            face: 2 * axis as u32 + u32::from(is_upper),
-            u: at(usize::from(axis == 0)),
-            v: at(2 - usize::from(axis == 2)),
-        }
-    };
-    let entry = patch(enter, !upper[enter], near[enter]);
-    let exit = patch(leave, upper[leave], far[leave]);
     let index = symmetric_index(n, entry, exit) as usize;
     marks[index / 32] >> (index % 32) & 1 == 0
 }
