@@ -109,9 +109,7 @@ fn run(name: &str, meshes: &[Arc<Mesh>], placements: &[Placement], threads: usiz
         match timed(|| Structure::build(&flat, &params, &AtomicBool::new(false))) {
             (build_s, Ok(built)) => {
                 let shafts = built.cells().filter(|_| params.kind() == "ntree").map(|tree| {
-                    timed(|| {
-                        CellShafts::build(tree, 0..2, 8 << 30, &AtomicBool::new(false)).expect("builds")
-                    })
+                    timed(|| CellShafts::build(tree, 0..2, 8 << 30, &AtomicBool::new(false)).expect("builds"))
                 });
                 candidates.push(Candidate::new(name, build_s, SceneAccel::flat(built.clone(), names.clone())));
                 if let Some((shafts_s, shafts)) = shafts {
