@@ -238,8 +238,9 @@ fn is_empty(
         // The cast saturates.
         (at as u32).clamp(below.low[k], below.low[k] + n - 1) - below.low[k]
     });
-    // Also where `t` is not a number.
-    if !(t.abs() < f32::MAX) || entry.face == exit.face {
+    // False where `t` is not a number.
+    let is_crossed = t.abs() < f32::MAX && entry.face != exit.face;
+    if !is_crossed {
         return false;
     }
     let index = symmetric_index(n, entry, exit) as usize;
