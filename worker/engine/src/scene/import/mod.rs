@@ -7,6 +7,7 @@
 
 mod accessor;
 mod check;
+mod container;
 mod document;
 mod images;
 mod materials;
@@ -31,7 +32,8 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use accessor::Accessors;
-use document::{Container, Document, SUPPORTED_EXTENSIONS};
+use container::Container;
+use document::{Document, SUPPORTED_EXTENSIONS};
 use meshes::Unique;
 use nodes::Graph;
 use placement::Plan;
