@@ -17,6 +17,13 @@ pub struct NewWorker {
     pub tags: Vec<String>,
 }
 
+impl NewWorker {
+    /// A worker that is new to the service, without tags.
+    pub fn new(name: &str, version: &str, devices: Vec<Device>) -> Self {
+        Self { id: None, name: name.to_owned(), version: version.to_owned(), devices, tags: Vec::new() }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Device {
     pub kind: DeviceKind,
@@ -28,6 +35,14 @@ pub struct Device {
     /// `DiscreteGpu`, `IntegratedGpu`, `VirtualGpu` or `Cpu`.
     #[serde(default)]
     pub device_type: String,
+}
+
+impl Device {
+    /// A device of which nothing but its name is known.
+    pub fn named(kind: DeviceKind, name: &str) -> Self {
+        let unknown = String::new;
+        Self { kind, name: name.to_owned(), driver: unknown(), backend: unknown(), device_type: unknown() }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]

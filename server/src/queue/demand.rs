@@ -121,14 +121,7 @@ mod tests {
     use super::*;
 
     fn offer(name: &str, devices: &[(DeviceKind, &str)]) -> Offer {
-        let device = |&(kind, name): &(DeviceKind, &str)| Device {
-            kind,
-            name: name.to_owned(),
-            driver: String::new(),
-            backend: String::new(),
-            device_type: String::new(),
-        };
-        let devices = devices.iter().map(device).collect();
+        let devices = devices.iter().map(|&(kind, name)| Device::named(kind, name)).collect();
         Offer { id: name.to_owned(), name: name.to_owned(), devices, draining: false }
     }
 

@@ -212,20 +212,8 @@ impl Service {
 }
 
 pub(crate) fn new_worker(devices: &[&str]) -> NewWorker {
-    let device = |name: &&str| Device {
-        kind: if *name == "cpu" { DeviceKind::Cpu } else { DeviceKind::Gpu },
-        name: (*name).to_owned(),
-        driver: String::new(),
-        backend: String::new(),
-        device_type: String::new(),
-    };
-    NewWorker {
-        id: None,
-        name: "worker".to_owned(),
-        version: "1".to_owned(),
-        devices: devices.iter().map(device).collect(),
-        tags: Vec::new(),
-    }
+    let kind = |name: &str| if name == "cpu" { DeviceKind::Cpu } else { DeviceKind::Gpu };
+    NewWorker::new("worker", "1", devices.iter().map(|name| Device::named(kind(name), name)).collect())
 }
 
 pub(crate) fn new_job(scene: &str) -> NewJob {

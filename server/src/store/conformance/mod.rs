@@ -191,20 +191,8 @@ pub(super) fn job_record(scene: &str) -> JobRecord {
 }
 
 pub(super) fn new_worker(devices: &[&str]) -> NewWorker {
-    let device = |name: &&str| Device {
-        kind: if *name == "cpu" { DeviceKind::Cpu } else { DeviceKind::Gpu },
-        name: (*name).to_owned(),
-        driver: String::new(),
-        backend: String::new(),
-        device_type: String::new(),
-    };
-    NewWorker {
-        id: None,
-        name: "worker".to_owned(),
-        version: "1".to_owned(),
-        devices: devices.iter().map(device).collect(),
-        tags: Vec::new(),
-    }
+    let kind = |name: &str| if name == "cpu" { DeviceKind::Cpu } else { DeviceKind::Gpu };
+    NewWorker::new("worker", "1", devices.iter().map(|name| Device::named(kind(name), name)).collect())
 }
 
 /// Runs each behaviour as a test of its own against a store that `$open` makes.
