@@ -57,18 +57,23 @@ test: test-tools lint ## Installs what tests need and runs everything: format, l
 	status=0
 	cargo test --workspace --locked --no-fail-fast 2>&1 | tee target/test.log || status=$$?
 	$(MAKE) test-python 2>&1 | tee target/test-python.log || status=$$?
+	$(MAKE) test-browser 2>&1 | tee target/test-browser.log || status=$$?
 	echo
 	echo '== summary'
 	grep -E '^test .* FAILED$$' target/test.log || true
 	grep -E '^(FAILED|ERROR) ' target/test-python.log || true
+	grep -E '^not ok ' target/test-browser.log || true
 	awk '/^test result:/ { binaries++; passed += $$4; failed += $$6; ignored += $$8 }
 	  /^=+ .* in [0-9.]+s/ { for (i = 1; i < NF; i++) {
 	    if ($$(i + 1) ~ /^passed/) { passed += $$i; python = $$i }
 	    if ($$(i + 1) ~ /^(failed|error)/) failed += $$i
 	    if ($$(i + 1) ~ /^(skipped|xfailed|deselected)/) ignored += $$i } }
-	  END { printf "test result: %s. %d passed; %d failed; %d ignored; in %d test binaries and %d tests in Python\n",
-	    failed || '$$status' ? "FAILED" : "ok", passed, failed, ignored, binaries, python }' \
-	  target/test.log target/test-python.log
+	  /^# pass / { passed += $$3; browser = $$3 }
+	  /^# (fail|cancelled) / { failed += $$3 }
+	  /^# (skipped|todo) / { ignored += $$3 }
+	  END { printf "test result: %s. %d passed; %d failed; %d ignored; in %d test binaries, %d tests in Python and %d with Playwright\n",
+	    failed || '$$status' ? "FAILED" : "ok", passed, failed, ignored, binaries, python, browser }' \
+	  target/test.log target/test-python.log target/test-browser.log
 	exit $$status
 
 # Pinned packages, in a virtual environment that is made anew when their list changes.
@@ -90,6 +95,20 @@ $(PYTHON)/ready: api/python/requirements-dev.lock api/python/pyproject.toml
 	python3 -m venv $(PYTHON)
 	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r api/python/requirements-dev.lock
 	$(PYTHON)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable api/python
+	touch $@
+
+# Packages of the lock file, which has their hashes; none of their scripts runs.
+PLAYWRIGHT := tests/browser/node_modules/.package-lock.json
+
+.PHONY: test-browser
+test-browser: compiler test-tools ## The pages in Chromium with Playwright and axe-core; screenshots go to target/browser.
+	@cargo build --locked --bin lightshaft
+	echo '== browser'
+	rm -rf "$${CARGO_TARGET_DIR:-target}/browser"
+	node --test --test-reporter=tap tests/browser/*.test.js
+
+$(PLAYWRIGHT): tests/browser/package-lock.json
+	@npm ci --prefix tests/browser --ignore-scripts --no-audit --no-fund --loglevel=error
 	touch $@
 
 .PHONY: lint
@@ -115,7 +134,7 @@ compiler:
 	@command -v cargo >/dev/null || { echo 'no cargo: install Rust from https://rustup.rs' >&2; exit 1; }
 	command -v cc >/dev/null || $(MAKE) apt PACKAGES='build-essential'
 
-# What tests use beside Rust: a software Vulkan driver (lavapipe), a browser with its WebDriver, and Python with packages.
+# What tests use beside Rust: a software Vulkan driver (lavapipe), a browser with its WebDriver, Python and Node with packages.
 .PHONY: test-tools
 test-tools:
 	@missing=
@@ -124,8 +143,10 @@ test-tools:
 	command -v chromium >/dev/null || missing+=' chromium'
 	command -v chromedriver >/dev/null || missing+=' chromium-driver'
 	python3 -c 'import ensurepip, venv' 2>/dev/null || missing+=' python3-venv'
+	command -v node >/dev/null || missing+=' nodejs'
+	command -v npm >/dev/null || missing+=' npm'
 	[ -z "$$missing" ] || $(MAKE) apt PACKAGES="$$missing"
-	$(MAKE) $(PYTHON)/ready
+	$(MAKE) $(PYTHON)/ready $(PLAYWRIGHT)
 
 # Installs Debian packages as root or with sudo. On Debian 12, Mesa comes from backports: the lavapipe of its release
 # (22.3) works too, and is slower.

@@ -48,7 +48,7 @@ impl Browser {
         let chrome = json!({"args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
             "--disable-dev-shm-usage", "--window-size=1280,1600"]});
         let wanted = json!({"capabilities": {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": chrome,
-            "goog:loggingPrefs": {"browser": "ALL", "performance": "ALL"}}}});
+            "goog:loggingPrefs": {"browser": "ALL"}}}});
         let base = format!("http://127.0.0.1:{port}/session");
         let request = browser.http.post(&base).json(&wanted);
         let reply: Value = request.send().await.expect("chromedriver answers").json().await.expect("JSON");
@@ -136,14 +136,6 @@ impl Browser {
         self.post("goog/cdp/execute", json!({"cmd": command, "params": parameters})).await
     }
 
-    /// Shows pages as on a screen of this width, and in the scheme of colours `light` or `dark`.
-    pub async fn look(&self, width: u32, scheme: &str) {
-        let screen = json!({"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": false});
-        self.devtools("Emulation.setDeviceMetricsOverride", screen).await;
-        let features = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
-        self.devtools("Emulation.setEmulatedMedia", features).await;
-    }
-
     /// Drags files or folders of this machine over the first element of a selector and lets them go there.
     pub async fn drop_on(&self, selector: &str, paths: &[&Path]) {
         let middle = "const r = document.querySelector(arguments[0]).getBoundingClientRect();
@@ -165,25 +157,9 @@ impl Browser {
 
     /// Messages of the console at level SEVERE since the last call: script errors and loads that failed.
     pub async fn errors(&self) -> Vec<String> {
-        let entries = self.log("browser").await;
-        let severe = entries.iter().filter(|entry| entry["level"] == "SEVERE");
+        let entries = self.post("se/log", json!({"type": "browser"})).await;
+        let severe = entries.as_array().into_iter().flatten().filter(|entry| entry["level"] == "SEVERE");
         severe.map(|entry| entry["message"].as_str().unwrap_or_default().to_owned()).collect()
-    }
-
-    /// Addresses that pages asked for since the last call.
-    pub async fn requests(&self) -> Vec<String> {
-        let entries = self.log("performance").await;
-        let messages = entries.iter().filter_map(|entry| serde_json::from_str(entry["message"].as_str()?).ok());
-        let sent = messages.filter_map(|message: Value| {
-            let message = &message["message"];
-            let is_request = message["method"] == "Network.requestWillBeSent";
-            is_request.then(|| message["params"]["request"]["url"].as_str().unwrap_or_default().to_owned())
-        });
-        sent.collect()
-    }
-
-    async fn log(&self, kind: &str) -> Vec<Value> {
-        self.post("se/log", json!({"type": kind})).await.as_array().cloned().unwrap_or_default()
     }
 
     async fn element(&self, selector: &str) -> String {

@@ -3,7 +3,6 @@
 //! Tests talk to the service as a stranger would: HTTP, the command line, signals. Nothing here reaches into the
 //! server's memory or database.
 
-pub mod audit;
 pub mod binary;
 pub mod browser;
 pub mod glb;

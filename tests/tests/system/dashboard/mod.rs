@@ -4,7 +4,6 @@ mod actions;
 mod compare;
 mod farm;
 mod form;
-mod newcomer;
 mod pages;
 mod upload;
 

@@ -1,0 +1,94 @@
+// The whole story, as somebody tells it to the browser: upload, submit, watch, compare, approve.
+import assert from 'node:assert/strict';
+import { after, before, test } from 'node:test';
+import { Browser } from './browser.js';
+import { Service } from './service.js';
+import { addSuite } from './world.js';
+
+let browser;
+let service;
+before(async () => {
+  browser = await Browser.open('story');
+  service = await Service.start('--device', 'cpu');
+});
+after(async () => {
+  await browser?.close();
+  service?.stop();
+});
+
+// Sets fields of the form by the pointers of their values, submits it, and waits for the job's picture; the job's id.
+async function render(tab, settings) {
+  for (const [name, value] of Object.entries(settings)) {
+    await tab.fill(`[data-pointer="/settings/${name}"] input`, String(value));
+  }
+  await tab.waitForFunction(() => document.getElementById('verdict').textContent.startsWith('Ready to submit'));
+  await tab.getByRole('button', { name: 'Submit' }).click();
+  await tab.waitForURL(/\/jobs\/(?!new)/);
+  await tab.waitForFunction(() => {
+    const picture = document.querySelector('#picture[src*="image.png"]');
+    return document.getElementById('state').innerText === 'succeeded' && picture?.complete && picture.naturalWidth > 0;
+  });
+  return new URL(tab.url()).pathname.split('/').at(-1);
+}
+
+test('somebody uploads, submits, watches, compares and approves', async () => {
+  const tab = await browser.tab(service.url);
+  await tab.goto(`${service.url}/scenes`);
+  await tab.setInputFiles('#files', service.generate('cornell-box'));
+  await tab.waitForURL(/\/scenes\/.+/);
+  assert.equal(await tab.innerText('h1'), 'cornell-box');
+  await tab.waitForFunction(() => document.querySelector('main img')?.naturalWidth > 0);
+  await browser.keep(tab, '1-uploaded');
+
+  await tab.getByRole('link', { name: 'Render this' }).click();
+  await tab.waitForSelector('#new-job');
+  const first = await render(tab, { width: 96, height: 72, spp: 4 });
+  assert.equal(await tab.evaluate(() => document.getElementById('picture').naturalWidth), 96);
+  assert.match(await tab.innerText('#metrics'), /MRays\/s/);
+  await browser.keep(tab, '2-rendered');
+  await tab.getByRole('link', { name: 'Submit a variation' }).click();
+  await tab.waitForSelector('#new-job');
+  const second = await render(tab, { seed: 7 });
+
+  await tab.goto(`${service.url}/jobs`);
+  for (const job of [first, second]) await tab.check(`[name=p][value="${job}"]`);
+  await tab.getByRole('button', { name: 'Compare selected' }).click();
+  await tab.waitForURL(/\/compare\?/);
+  for (const [key, mode] of [['s', 'side'], ['w', 'swipe'], ['d', 'difference'], ['h', 'heat']]) {
+    await tab.focus('.stage');
+    await tab.keyboard.press(key);
+    await tab.waitForFunction((wanted) => {
+      const root = document.querySelector('[data-compare]');
+      const chosen = document.querySelector('#compare-bar [name=mode]:checked').value;
+      return chosen === wanted && root.querySelector('[data-busy]').hidden && root.querySelector('[data-figures]').innerText.includes('RMSE');
+    }, mode);
+    await browser.keep(tab, `3-compared-${mode}`);
+  }
+
+  await judge(tab);
+  assert.deepEqual(tab.wrongs, []);
+});
+
+// A run of the farm whose pictures changed is looked at and approved.
+async function judge(tab) {
+  const demo = await service.scene('demo');
+  const suite = await addSuite(service);
+  const base = await service.check(suite, 'base', { demo });
+  await service.post(`/v1/farm/runs/${base}/approve`, { who: 'Ada', why: 'first pictures' });
+  const changed = await service.check(suite, 'no bounces', { demo }, { max_bounces: 0 });
+
+  await tab.goto(service.url);
+  await tab.getByRole('link', { name: 'still life at no bounces' }).click();
+  await tab.waitForURL(new RegExp(`/farm/runs/${changed}`));
+  await tab.waitForFunction(() => document.querySelector('#case-path .frame + .frame img')?.naturalWidth > 0);
+  assert.equal(await tab.locator('.case').count(), 1, 'occlusion has no bounces');
+  await browser.keep(tab, '4-changed');
+  await tab.fill('#decide [name=who]', 'Grace');
+  await tab.fill('#decide [name=why]', 'bounces are gone on purpose');
+  await tab.check('#case-path [name=cases]');
+  await tab.getByRole('button', { name: 'Approve chosen' }).click();
+  await tab.waitForFunction(() => document.getElementById('state').innerText === 'Ok');
+  await browser.keep(tab, '5-approved');
+  const run = await service.get(`/v1/farm/runs/${changed}`);
+  assert.deepEqual([run.ok, run.cases.find((found) => found.name === 'path').decision.who], [true, 'Grace']);
+}
