@@ -13,6 +13,7 @@ use utoipa::ToSchema;
 
 pub use self::metrics::{CacheReport, CacheSource, LineSpaceUse, Metrics, RayCounts};
 pub use self::task::{Attempt, AttemptOutcome, Phase, Task, TaskState, TaskWork};
+use crate::estimate::Estimate;
 use crate::problem::{FieldError, escape_pointer};
 use crate::settings::JobSettings;
 
@@ -270,6 +271,7 @@ pub struct ValidatedJob {
     pub job: NewJob,
     /// How many tasks it would have.
     pub tasks: u32,
+    pub estimate: Estimate,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -21,6 +22,8 @@ pub struct Structure {
     pub builder_version: u32,
     pub bytes: u64,
     pub build_s: f64,
+    /// When a worker told of it.
+    pub built_at: Timestamp,
     /// BLAKE3 of the encoded structure in the blob store.
     pub blob: String,
     /// Ids of workers that hold it warm.

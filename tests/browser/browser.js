@@ -64,9 +64,9 @@ export class Browser {
         const isWide = document.documentElement.scrollWidth > innerWidth;
         return { violations, isWide };
       }, { resultTypes: ['violations'], ...(rules && { runOnly: { type: 'rule', values: rules } }) });
-      if (found.isWide) wrongs.push(`${as}: scrolls sideways`);
+      if (found.isWide) wrongs.push(`${name}, ${as}: scrolls sideways`);
       for (const { id, impact, help, nodes } of found.violations) {
-        wrongs.push(`${as}: ${impact}: ${help} (${id}): ${nodes.map((node) => `${node.target} ${node.failureSummary ?? ''}`).join('; ')}`);
+        wrongs.push(`${name}, ${as}: ${impact}: ${help} (${id}): ${nodes.map((node) => `${node.target} ${node.failureSummary ?? ''}`).join('; ')}`);
       }
       await this.keep(page, `${name}-${as}`);
     };

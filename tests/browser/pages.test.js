@@ -46,7 +46,9 @@ test('an empty service shows how to begin, and a page says what is not there', a
   const service = await Service.start('--workers', '0');
   const empty = {
     'empty-overview': '/', 'empty-jobs': '/jobs', 'empty-job-new': '/jobs/new', 'empty-compare': '/compare',
-    'empty-farm': '/farm', 'empty-decisions': '/farm/decisions', 'empty-scenes': '/scenes', 'empty-workers': '/workers',
+    'empty-farm': '/farm', 'empty-decisions': '/farm/decisions', 'empty-schedules': '/farm/schedules',
+    'empty-queue': '/queue', 'empty-benchmarks': '/benchmarks', 'empty-scenes': '/scenes', 'empty-meshes': '/meshes',
+    'empty-workers': '/workers',
   };
   const missing = {
     '/nowhere': 'Nothing lives at /nowhere.',
@@ -84,7 +86,7 @@ test('the audit finds what is wrong', async () => {
     <img alt="" src="http://elsewhere.invalid/pixel.png"><script>throw new Error('on purpose')</script></main>`);
   const found = [...(await browser.audit(tab, 'wrong')), ...tab.wrongs].join('\n');
   for (const wrong of [
-    'light: serious: Elements must meet minimum color contrast', 'dark: serious: Elements must meet minimum color contrast',
-    'critical: Buttons must have discernible text', 'phone: scrolls sideways', 'asks for http://elsewhere.invalid', 'on purpose',
+    'wrong, light: serious: Elements must meet minimum color contrast', 'wrong, dark: serious: Elements must meet minimum color contrast',
+    'critical: Buttons must have discernible text', 'wrong, phone: scrolls sideways', 'asks for http://elsewhere.invalid', 'on purpose',
   ]) assert.ok(found.includes(wrong), `${wrong} is not among\n${found}`);
 });

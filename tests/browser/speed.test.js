@@ -5,6 +5,9 @@ import { test } from 'node:test';
 import { Browser } from './browser.js';
 import { Service } from './service.js';
 
+// An ordinary screen's picture at its largest: 4K.
+const LARGE = { width: 3840, height: 2160, spp: 1, integrator: 'direct', device: 'cpu', outputs: ['png'] };
+const FRAME_MS = 250;
 const JOBS = 500;
 const FIRST_PAINT_MS = 500;
 
@@ -36,6 +39,52 @@ test('with 500 jobs the table paints at once and pages through all', async (t) =
     }
     assert.equal(rows, JOBS);
     assert.match(await tab.locator('tbody tr').last().innerText(), /number=0\b/);
+    assert.deepEqual(tab.wrongs, []);
+  } finally {
+    await browser.close();
+    service.stop();
+  }
+});
+
+test('a pair of 4K pictures follows the pointer', async (t) => {
+  const service = await Service.start('--device', 'cpu', '--no-thumbnails');
+  const browser = await Browser.open('speed');
+  try {
+    const scene = await service.scene('cornell-box');
+    const jobs = [await service.submit(scene, LARGE), await service.submit(scene, { ...LARGE, seed: 2 })];
+    for (const job of jobs) await service.succeeded(job);
+    const tab = await browser.tab(service.url);
+    await tab.goto(`${service.url}/compare?${jobs.map((job) => `p=${job}/image.png`).join('&')}&mode=swipe&z=1`);
+    await tab.waitForFunction(() => {
+      const root = document.querySelector('[data-compare]');
+      return 'ready' in root.dataset && root.querySelector('[data-busy]').hidden && root.querySelector('[data-figures]').innerText.includes('RMSE');
+    }, null, { timeout: 120_000 });
+    const box = await tab.locator('.stage').boundingBox();
+    const [x, y] = [box.x + box.width / 4, box.y + box.height / 2];
+    await tab.mouse.move(x, y);
+    await tab.mouse.down();
+    // A step for every frame, as quickly as frames come.
+    const frames = await tab.evaluate(([fromX, fromY]) => new Promise((done) => {
+      const stage = document.querySelector('.stage');
+      const took = [];
+      let last = performance.now();
+      const tick = (now) => {
+        took.push(now - last);
+        last = now;
+        if (took.length > 60) return done(took.slice(1));
+        const to = { clientX: fromX + 4 * took.length, clientY: fromY + 2 * took.length };
+        stage.dispatchEvent(new PointerEvent('pointermove', { ...to, pointerId: 1, bubbles: true }));
+        requestAnimationFrame(tick);
+      };
+      requestAnimationFrame(tick);
+    }), [x, y]);
+    await tab.mouse.up();
+    frames.sort((a, b) => a - b);
+    const [middle, late] = [0.5, 0.95].map((part) => Math.round(frames[Math.floor(part * (frames.length - 1))]));
+    t.diagnostic(`panning two 4K pictures, WebGL in software: ${middle} ms a frame in the median, ${late} ms at the 95th percentile`);
+    assert.ok(middle < FRAME_MS, `${middle} ms`);
+    assert.match(tab.url(), /[?&]c=/, 'the view has moved');
+    await browser.keep(tab, 'large');
     assert.deepEqual(tab.wrongs, []);
   } finally {
     await browser.close();

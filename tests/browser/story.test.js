@@ -3,13 +3,13 @@ import assert from 'node:assert/strict';
 import { after, before, test } from 'node:test';
 import { Browser } from './browser.js';
 import { Service } from './service.js';
-import { addSuite } from './world.js';
+import { addSuite, ELSEWHERE } from './world.js';
 
 let browser;
 let service;
 before(async () => {
   browser = await Browser.open('story');
-  service = await Service.start('--device', 'cpu');
+  service = await Service.start('--device', 'cpu', '--device-grace-s', '3600');
 });
 after(async () => {
   await browser?.close();
@@ -48,6 +48,8 @@ test('somebody uploads, submits, watches, compares and approves', async () => {
   await browser.keep(tab, '2-rendered');
   await tab.getByRole('link', { name: 'Submit a variation' }).click();
   await tab.waitForSelector('#new-job');
+  await tab.waitForFunction(() => /about .* of this scene .* MRays/.test(document.querySelector('#estimate [data-time]').textContent));
+  assert.match(await tab.innerText('#estimate [data-memory]'), /^about .* picture 108 KiB$/);
   const second = await render(tab, { seed: 7 });
 
   await tab.goto(`${service.url}/jobs`);
@@ -64,6 +66,9 @@ test('somebody uploads, submits, watches, compares and approves', async () => {
     }, mode);
     await browser.keep(tab, `3-compared-${mode}`);
   }
+  for (const key of ['Shift+ArrowRight', 'c', 'Shift+ArrowRight', 'Shift+ArrowDown', 'c']) await tab.keyboard.press(key);
+  await tab.waitForSelector('[data-crop]:not([hidden])');
+  await tab.waitForURL(/crop=\d+,\d+,2,2/);
 
   await judge(tab);
   assert.deepEqual(tab.wrongs, []);
@@ -92,3 +97,36 @@ async function judge(tab) {
   const run = await service.get(`/v1/farm/runs/${changed}`);
   assert.deepEqual([run.ok, run.cases.find((found) => found.name === 'path').decision.who], [true, 'Grace']);
 }
+
+test('waiting jobs are raised and cancelled, and runs are scheduled', async () => {
+  const tab = await browser.tab(service.url);
+  const scene = await service.scene('furnace-sphere');
+  const [first, second] = [await service.submit(scene, ELSEWHERE), await service.submit(scene, ELSEWHERE)];
+  await tab.goto(`${service.url}/queue`);
+  const waiting = (ids) => tab.waitForFunction((wanted) => [...document.querySelectorAll('.turn')].map((turn) => turn.id).join() === wanted, ids.map((id) => `turn-${id}`).join());
+  // The scene's thumbnail is rendered, and leaves the queue.
+  await waiting([first, second]);
+  await tab.locator(`#turn-${second}`).getByRole('button', { name: 'Raise' }).click();
+  await waiting([second, first]);
+  assert.equal((await service.get(`/v1/jobs/${second}`)).priority, 10);
+  await browser.keep(tab, '6-queue');
+  await tab.locator(`#turn-${second}`).getByRole('button', { name: 'Cancel' }).click();
+  await waiting([first]);
+  await service.settled(`/v1/jobs/${second}`, ['cancelled']);
+
+  await tab.goto(`${service.url}/farm/schedules`);
+  for (const [name, value] of [['name', 'nightly'], ['cron', 'never'], ['run/label', 'nightly']]) await tab.fill(`#add-schedule [name="${name}"]`, value);
+  await tab.getByRole('button', { name: 'Add', exact: true }).click();
+  await tab.waitForFunction(() => document.getElementById('alerts').innerText.includes('/cron'));
+  await tab.fill('#add-schedule [name="cron"]', '30 2 * * 1-5');
+  await tab.getByRole('button', { name: 'Add', exact: true }).click();
+  await tab.waitForFunction(() => document.getElementById('schedules').innerText.includes('30 2 * * 1-5'));
+  const [schedule] = (await service.get('/v1/farm/schedules')).items;
+  assert.deepEqual([schedule.run.baseline, Object.keys(schedule.run.scenes)], ['main', ['demo']]);
+  await browser.keep(tab, '7-scheduled');
+  tab.once('dialog', (dialog) => dialog.accept());
+  await tab.getByRole('button', { name: 'Delete nightly' }).click();
+  await tab.waitForFunction(() => document.getElementById('schedules').innerText.includes('Nothing is scheduled'));
+  // The pattern that is none was refused on purpose.
+  assert.deepEqual(tab.wrongs.filter((wrong) => !wrong.includes('/v1/farm/schedules')), []);
+});

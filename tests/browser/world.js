@@ -19,7 +19,7 @@ export const SUITE = `
 `;
 
 // What nobody has: a job that demands it waits.
-const ELSEWHERE = { device: 'gpu', adapter: 'of another world' };
+export const ELSEWHERE = { device: 'gpu', adapter: 'of another world' };
 
 // Stores the suite; its id.
 export async function addSuite(service) {
@@ -52,6 +52,8 @@ export async function populate(service) {
   await service.post(`/v1/farm/runs/${accepted}/approve`, { who: 'Ada', why: 'first pictures' });
   const changed = await service.check(suite, 'no bounces', { demo }, { max_bounces: 0 });
 
+  const run = { suite, label: 'nightly', scenes: { demo } };
+  await service.post('/v1/farm/schedules', { name: 'nightly', cron: '30 2 * * 1-5', run });
   jobs.waiting = await service.submit(scene, ELSEWHERE);
   jobs.cancelled = await service.submit(scene, ELSEWHERE);
   await service.post(`/v1/jobs/${jobs.cancelled}/cancel`, {});
@@ -81,6 +83,11 @@ export function pagesOf({ scene, mesh, jobs, runs }) {
     'farm-run-changed': `/farm/runs/${runs.changed}`,
     'farm-history': '/farm/history?suite=still%20life&case=path',
     'farm-decisions': '/farm/decisions',
+    'farm-schedules': '/farm/schedules',
+    queue: '/queue',
+    benchmarks: '/benchmarks',
+    'benchmarks-by': '/benchmarks?by=structure',
+    meshes: '/meshes',
     scenes: '/scenes',
     scene: `/scenes/${scene}`,
     mesh: `/meshes/${mesh}`,

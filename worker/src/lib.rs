@@ -8,6 +8,7 @@
 pub mod benchmark;
 pub mod cache;
 pub mod driver;
+pub mod estimate;
 pub mod executor;
 pub mod protocol;
 pub mod settings;

@@ -69,8 +69,8 @@ impl App {
         Ok(missing)
     }
 
-    pub async fn meshes(&self, page: &PageRequest) -> ApiResult<Vec<Mesh>> {
-        let mut meshes = self.store.meshes(page).await?;
+    pub async fn meshes(&self, scene: Option<&str>, page: &PageRequest) -> ApiResult<Vec<Mesh>> {
+        let mut meshes = self.store.meshes(scene, page).await?;
         meshes.iter_mut().for_each(|mesh| self.add_warm_workers(mesh));
         Ok(meshes)
     }

@@ -6,6 +6,7 @@ use lightshaft_api::job::{Job, TaskState};
 use lightshaft_api::worker::{Worker, WorkerState};
 
 use super::App;
+use super::leases::timestamp;
 use crate::error::ApiResult;
 use crate::queue::{Demand, Millis, Offer, Roll, gives_up};
 
@@ -22,6 +23,14 @@ impl RollCall {
     fn call(&self, offers: Vec<Offer>, now: Millis) -> Millis {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).call(offers, now)
     }
+}
+
+/// What a job waits with.
+pub(super) struct Wait<'a> {
+    pub(super) paused: bool,
+    /// When the first of its tasks may run.
+    pub(super) ready_at: Option<Millis>,
+    pub(super) demand: &'a Demand,
 }
 
 impl App {
@@ -48,29 +57,37 @@ impl App {
         if !is_in(TaskState::Ready) || is_in(TaskState::Leased) {
             return Ok(None);
         }
-        if job.summary.paused {
-            return Ok(Some("the job is paused".to_owned()));
-        }
-        let ready_at = job.tasks.iter().filter_map(|task| task.ready_at).min();
-        if let Some(at) = ready_at.filter(|at| at.as_millisecond() > self.now()) {
-            return Ok(Some(format!("the next attempt is at {at:.0}")));
-        }
+        let wait = Wait {
+            paused: job.summary.paused,
+            ready_at: job.tasks.iter().filter_map(|task| Some(task.ready_at?.as_millisecond())).min(),
+            demand: &Demand::of(&job.settings),
+        };
         let workers = self.workers().await?;
-        let offers = offers(&workers);
-        let demand = Demand::of(&job.settings);
+        Ok(Some(self.why_waits(&wait, &workers, &offers(&workers))))
+    }
+
+    /// What keeps a job of which nothing runs from one of these workers, which make these offers.
+    pub(super) fn why_waits(&self, wait: &Wait<'_>, workers: &[Worker], offers: &[Offer]) -> String {
+        if wait.paused {
+            return "the job is paused".to_owned();
+        }
+        if let Some(Ok(at)) = wait.ready_at.filter(|&at| at > self.now()).map(timestamp) {
+            return format!("the next attempt is at {at:.0}");
+        }
         if offers.is_empty() {
-            return Ok(Some("there is no worker".to_owned()));
+            return "there is no worker".to_owned();
         }
-        if let Some(why) = demand.unmet_by(&offers) {
+        if let Some(why) = wait.demand.unmet_by(offers) {
             let grace_s = self.config.device_grace.as_secs();
-            return Ok(Some(format!("{why}. It fails after {grace_s} s unless a worker with it joins.")));
+            return format!("{why}. It fails after {grace_s} s unless a worker with it joins.");
         }
-        let able = |state| workers.iter().any(|worker| worker.state == state && demand.is_met_by(&worker.devices));
-        Ok(Some(match (able(WorkerState::Idle), able(WorkerState::Busy)) {
+        let is_able = |worker: &&Worker| wait.demand.is_met_by(&worker.devices);
+        let able = |state| workers.iter().filter(is_able).any(|worker| worker.state == state);
+        match (able(WorkerState::Idle), able(WorkerState::Busy)) {
             (true, _) => "a worker is about to take it".to_owned(),
             (false, true) => "every worker that could do it is busy".to_owned(),
             (false, false) => "every worker that could do it is draining".to_owned(),
-        }))
+        }
     }
 
     fn device_grace_ms(&self) -> Millis {
@@ -79,7 +96,7 @@ impl App {
 }
 
 /// Those that are there.
-fn offers(workers: &[Worker]) -> Vec<Offer> {
+pub(super) fn offers(workers: &[Worker]) -> Vec<Offer> {
     let present = workers.iter().filter(|worker| worker.state != WorkerState::Gone);
     let offer = |worker: &Worker| Offer {
         id: worker.id.clone(),

@@ -11,6 +11,7 @@ use futures::{StreamExt, TryStreamExt};
 use jiff::Timestamp;
 
 use super::App;
+use super::leases::timestamp;
 use crate::error::{ApiError, ApiResult};
 use crate::queue::Millis;
 
@@ -107,8 +108,4 @@ impl App {
     async fn is_blob_named(&self, hash: &str) -> ApiResult<bool> {
         Ok(self.live.shows(hash) || self.store.is_blob_used(hash).await?)
     }
-}
-
-fn timestamp(ms: Millis) -> ApiResult<Timestamp> {
-    Timestamp::from_millisecond(ms).map_err(ApiError::internal)
 }

@@ -83,7 +83,10 @@ impl App {
     pub async fn validate_job(&self, new: &NewJob) -> ApiResult<ValidatedJob> {
         self.check_job(new).await?;
         let job = NewJob { max_attempts: new.max_attempts.or(Some(DEFAULT_MAX_ATTEMPTS)), ..new.clone() };
-        Ok(ValidatedJob { tasks: plan(&new.settings).len() as u32, job })
+        // A scene that was deleted since then is refused when the job is made.
+        let scene = self.store.scene(&new.scene).await?.ok_or_else(|| ApiError::not_found("scene", &new.scene))?;
+        let estimate = self.estimate(&new.scene, &scene.summary, &new.settings).await?;
+        Ok(ValidatedJob { tasks: plan(&new.settings).len() as u32, job, estimate })
     }
 
     /// Renders a small picture of a new scene, when nothing else is to do.

@@ -372,6 +372,6 @@ fn lease_ended(code: Code) -> ApiError {
     ApiError::new(code, "the lease has ended: the task is no longer this worker's; drop the work")
 }
 
-fn timestamp(ms: Millis) -> ApiResult<jiff::Timestamp> {
+pub(super) fn timestamp(ms: Millis) -> ApiResult<jiff::Timestamp> {
     jiff::Timestamp::from_millisecond(ms).map_err(ApiError::internal)
 }

@@ -3,6 +3,7 @@
 mod blobs;
 mod compare;
 mod demand;
+mod estimate;
 mod events;
 mod farm;
 mod garbage;
@@ -13,6 +14,7 @@ mod live;
 mod logs;
 mod multipart;
 mod pictures;
+mod queue;
 mod scenes;
 mod status;
 mod workers;

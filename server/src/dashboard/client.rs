@@ -68,6 +68,19 @@ impl Api {
         }
     }
 
+    /// The text at `path`.
+    pub(super) async fn text(&self, path: &str) -> Result<String, PageError> {
+        let unreadable = |reason: String| PageError::Unreadable { path: path.to_owned(), reason };
+        let response = self.send(path).await;
+        let status = response.status();
+        if !status.is_success() {
+            return Err(unreadable(format!("status {status}")));
+        }
+        let body = axum::body::to_bytes(response.into_body(), MAX_ANSWER_BYTES).await;
+        let bytes = body.map_err(|error| unreadable(error.to_string()))?;
+        String::from_utf8(bytes.to_vec()).map_err(|error| unreadable(error.to_string()))
+    }
+
     async fn send(&self, path: &str) -> Response {
         let mut request = Request::new(Body::empty());
         match path.parse() {

@@ -137,6 +137,12 @@ pub(super) fn segment(value: impl AsRef<str>, _: &dyn Values) -> askama::Result<
     Ok(super::client::escape(value.as_ref()))
 }
 
+/// One part of a JSON pointer (RFC 6901).
+#[askama::filter_fn]
+pub(super) fn pointer(value: impl AsRef<str>, _: &dyn Values) -> askama::Result<String> {
+    Ok(lightshaft_api::problem::escape_pointer(value.as_ref()))
+}
+
 pub(super) fn human_bytes(bytes: f64) -> String {
     let mut value = bytes;
     let mut units = ["B", "KiB", "MiB", "GiB", "TiB"].into_iter();

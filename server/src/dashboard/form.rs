@@ -5,12 +5,12 @@
 //! from the pointers and puts the API's complaints beside the field that they point at.
 
 mod acceleration;
+mod camera;
+pub(super) mod light;
 mod policy;
 
 use lightshaft_api::scene::Scene;
-use lightshaft_api::settings::{
-    CameraChoice, CustomCamera, Environment, EnvironmentMap, Ground, Light, LightKind, RenderSettings, Split,
-};
+use lightshaft_api::settings::{RenderSettings, Split};
 use serde::Serialize;
 
 use super::filters::human_words;
@@ -145,6 +145,17 @@ fn options<T: Serialize>(current: &[T], all: &[&str], labels: &[(&str, &str)]) -
         .collect()
 }
 
+/// A choice between the values of an enum, all with labels.
+fn choice<T: Serialize>(current: T, all: &[(&str, &str)]) -> Control {
+    let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
+    Control::Choice { options: options(&[current], &names, all) }
+}
+
+/// The value of the chosen option; empty when there is none.
+fn chosen(options: &[ChoiceOption]) -> String {
+    options.iter().find(|option| option.selected).map(|option| option.value.clone()).unwrap_or_default()
+}
+
 /// The snake-case name of an enum's value, as in JSON.
 pub(super) fn name_of(value: &impl Serialize) -> String {
     match serde_json::to_value(value) {
@@ -167,9 +178,9 @@ fn modes(current: &str, all: &[(&str, &str)]) -> Control {
 pub(super) fn sections(settings: &RenderSettings, scene: Option<&Scene>) -> Vec<Section> {
     vec![
         picture(settings),
-        camera(settings.camera.as_ref(), scene),
-        lighting(settings),
-        ground(settings.ground.as_ref()),
+        camera::section(settings.camera.as_ref(), scene),
+        light::section(settings),
+        light::ground(settings.ground.as_ref()),
         output(settings),
         execution(settings),
     ]
@@ -185,14 +196,13 @@ fn picture(s: &RenderSettings) -> Section {
         ("ao", "Ambient occlusion"),
         ("aov", "First hit only"),
     ];
-    let names = integrators.map(|(name, _)| name);
     let fields = vec![
         Field::new(
             "/settings/integrator",
             "Integrator",
             "",
             "Path tracing gives full global illumination; Whitted adds mirrors to direct light.",
-            Control::Choice { options: options(&[s.integrator], &names, &integrators) },
+            choice(s.integrator, &integrators),
         ),
         Field::new("/settings/width", "Width", "px", "", whole(s.width, "1", "16384")),
         Field::new("/settings/height", "Height", "px", "", whole(s.height, "1", "16384")),
@@ -238,206 +248,6 @@ fn picture(s: &RenderSettings) -> Section {
     Section { title: "Picture", intro: "", fields }
 }
 
-fn camera(choice: Option<&CameraChoice>, scene: Option<&Scene>) -> Section {
-    let custom = match choice {
-        Some(CameraChoice::Custom(camera)) => Some(camera),
-        _ => None,
-    };
-    let cameras = scene.map(|scene| scene.summary.cameras.as_slice()).unwrap_or_default();
-    let current = match choice {
-        None => String::new(),
-        Some(CameraChoice::Index(index)) => index.to_string(),
-        Some(CameraChoice::Name(name)) => match cameras.iter().position(|camera| camera.name == *name) {
-            Some(index) => index.to_string(),
-            None => serde_json::Value::from(name.as_str()).to_string(),
-        },
-        Some(CameraChoice::Custom(camera)) if camera.half_height.is_some() => "@orthographic".to_owned(),
-        Some(CameraChoice::Custom(_)) => "@perspective".to_owned(),
-    };
-    let default = if cameras.is_empty() { "Frame the whole scene" } else { "The scene's first camera" };
-    let mut options = vec![(String::new(), default.to_owned())];
-    for (index, camera) in cameras.iter().enumerate() {
-        options.push((index.to_string(), format!("{index}: {} ({})", camera.name, camera.kind)));
-    }
-    if !options.iter().any(|(value, _)| *value == current) && custom.is_none() {
-        options.push((current.clone(), current.clone()));
-    }
-    options.push(("@perspective".to_owned(), "Another view, perspective".to_owned()));
-    options.push(("@orthographic".to_owned(), "Another view, orthographic".to_owned()));
-    let options =
-        options.into_iter().map(|(value, label)| ChoiceOption { selected: value == current, value, label }).collect();
-    let start = CustomCamera {
-        position: [0.0, 1.0, 4.0],
-        target: [0.0; 3],
-        up: [0.0, 1.0, 0.0],
-        fov_y_deg: None,
-        half_height: None,
-    };
-    let c = custom.unwrap_or(&start);
-    const OWN: &str = "@perspective @orthographic";
-    let view = "/settings/camera";
-    let fields = vec![
-        Field::new(view, "Camera", "", "", Control::Choice { options }),
-        Field::new("/settings/camera/position", "Position", "", "World units.", vector(c.position, XYZ))
-            .when(view, OWN, &current),
-        Field::new("/settings/camera/target", "Looks at", "", "", vector(c.target, XYZ)).when(view, OWN, &current),
-        Field::new("/settings/camera/up", "Up", "", "", vector(c.up, XYZ)).when(view, OWN, &current),
-        Field::new(
-            "/settings/camera/fov_y_deg",
-            "Vertical field of view",
-            "°",
-            "Empty: 40°.",
-            optional(c.fov_y_deg, "0", "180"),
-        )
-        .when(view, "@perspective", &current),
-        Field::new(
-            "/settings/camera/half_height",
-            "Half height of the view",
-            "units",
-            "",
-            number(c.half_height.unwrap_or(1.0), "0", ""),
-        )
-        .when(view, "@orthographic", &current),
-    ];
-    Section { title: "Camera", intro: "", fields }
-}
-
-fn lighting(s: &RenderSettings) -> Section {
-    let (mode, grey, color, map) = match &s.environment {
-        None => ("", 1.0, [1.0; 3], None),
-        Some(Environment::Grey(value)) => ("@grey", *value, [*value; 3], None),
-        Some(Environment::Color(color)) => ("@color", 1.0, *color, None),
-        Some(Environment::Map(map)) => ("@map", 1.0, [1.0; 3], Some(map)),
-    };
-    let start = EnvironmentMap { map: String::new(), intensity: 1.0, rotation_deg: 0.0 };
-    let map = map.unwrap_or(&start);
-    let choice = "/environment_mode";
-    let fields = vec![
-        Field::new(
-            "/settings/environment",
-            "Sky",
-            "",
-            "Automatic: a grey sky where the scene has no light, else black. Textures of emission are no light.",
-            modes(
-                mode,
-                &[("", "Automatic"), ("@grey", "Grey"), ("@color", "A colour"), ("@map", "A map (HDR or EXR)")],
-            ),
-        )
-        .named(choice),
-        Field::new("/settings/environment", "Radiance", "", "0 is black.", number(grey, "0", ""))
-            .when(choice, "@grey", mode),
-        Field::new("/settings/environment", "Colour of the sky", "", "Linear radiance.", vector(color, RGB))
-            .named("/settings/environment_color")
-            .when(choice, "@color", mode),
-        Field::new(
-            "/settings/environment/map",
-            "Map",
-            "",
-            "Hash of an equirectangular .hdr or .exr; choose a file to upload one.",
-            Control::Text { value: map.map.clone(), placeholder: "64 hex digits" },
-        )
-        .when(choice, "@map", mode),
-        Field::new("/settings/environment/intensity", "Brightness of the map", "×", "", number(map.intensity, "0", ""))
-            .when(choice, "@map", mode),
-        Field::new(
-            "/settings/environment/rotation_deg",
-            "Turned by",
-            "°",
-            "About the vertical axis.",
-            number(map.rotation_deg, "", ""),
-        )
-        .when(choice, "@map", mode),
-    ];
-    Section { title: "Light", intro: "Beside the scene's own lights and emitting surfaces.", fields }
-}
-
-/// Fields of the light `index` of `/settings/lights`.
-pub(super) fn light(index: &str, light: &Light) -> Vec<Field> {
-    let at = |name: &str| format!("/settings/lights/{index}/{name}");
-    let kind = at("kind");
-    let mode = format!("\"{}\"", name_of(&light.kind));
-    let kinds = options(&[light.kind], &["point", "spot", "directional"], &[("directional", "Directional (sun)")]);
-    vec![
-        Field::new(&kind, "Kind", "", "", Control::Choice { options: kinds }),
-        Field::new(&at("color"), "Colour", "", "Linear.", vector(light.color, RGB)),
-        Field::new(
-            &at("intensity"),
-            "Intensity",
-            "",
-            "Candela; lux for a directional light.",
-            number(light.intensity, "0", ""),
-        ),
-        Field::new(&at("position"), "Position", "", "", vector(light.position.unwrap_or([0.0, 2.0, 0.0]), XYZ)).when(
-            &kind,
-            "\"point\" \"spot\"",
-            &mode,
-        ),
-        Field::new(&at("direction"), "Shines to", "", "", vector(light.direction.unwrap_or([0.0, -1.0, 0.0]), XYZ))
-            .when(&kind, "\"spot\" \"directional\"", &mode),
-        Field::new(&at("range"), "Range", "units", "Empty: unlimited.", optional(light.range, "0", "")).when(
-            &kind,
-            "\"point\" \"spot\"",
-            &mode,
-        ),
-        Field::new(&at("inner_cone_deg"), "Inner cone", "°", "Half angle.", optional(light.inner_cone_deg, "0", "90"))
-            .when(&kind, "\"spot\"", &mode),
-        Field::new(&at("outer_cone_deg"), "Outer cone", "°", "Half angle.", optional(light.outer_cone_deg, "0", "90"))
-            .when(&kind, "\"spot\"", &mode),
-    ]
-}
-
-/// What a new row of the form starts from.
-pub(super) fn new_light() -> Light {
-    Light {
-        kind: LightKind::Point,
-        color: [1.0; 3],
-        intensity: 100.0,
-        position: Some([0.0, 2.0, 0.0]),
-        direction: None,
-        range: None,
-        inner_cone_deg: None,
-        outer_cone_deg: None,
-    }
-}
-
-fn ground(ground: Option<&Ground>) -> Section {
-    let mode = if ground.is_some() { "@plane" } else { "" };
-    let start = Ground::default();
-    let g = ground.unwrap_or(&start);
-    let choice = "/ground_mode";
-    let fields = vec![
-        Field::new(
-            "/settings/ground",
-            "Ground",
-            "",
-            "Something for the scene to stand on.",
-            modes(mode, &[("", "None"), ("@plane", "A plane")]),
-        )
-        .named(choice),
-        Field::new(
-            "/settings/ground/height",
-            "Height",
-            "units",
-            "Empty: the scene's lowest point.",
-            optional(g.height, "", ""),
-        )
-        .when(choice, "@plane", mode),
-        Field::new(
-            "/settings/ground/half_size",
-            "Half side length",
-            "units",
-            "Empty: 20 scene radii.",
-            optional(g.half_size, "0", ""),
-        )
-        .when(choice, "@plane", mode),
-        Field::new("/settings/ground/albedo", "Albedo", "", "Linear, 0 to 1.", vector(g.albedo, RGB))
-            .when(choice, "@plane", mode),
-        Field::new("/settings/ground/roughness", "Roughness", "", "0 to 1.", number(g.roughness, "0", "1"))
-            .when(choice, "@plane", mode),
-    ];
-    Section { title: "Ground", intro: "", fields }
-}
-
 fn output(s: &RenderSettings) -> Section {
     let layers = [
         "depth",
@@ -464,13 +274,7 @@ fn output(s: &RenderSettings) -> Section {
             "EXR keeps linear values.",
             Control::Several { options: options(&s.outputs, &["png", "exr"], &[("png", "PNG"), ("exr", "EXR")]) },
         ),
-        Field::new(
-            "/settings/tone_map",
-            "Tone mapping",
-            "",
-            "Of the PNG.",
-            Control::Choice { options: options(&[s.tone_map], &tone_maps.map(|(name, _)| name), &tone_maps) },
-        ),
+        Field::new("/settings/tone_map", "Tone mapping", "", "Of the PNG.", choice(s.tone_map, &tone_maps)),
         Field::new(
             "/settings/exposure",
             "Exposure",
@@ -496,14 +300,14 @@ fn execution(s: &RenderSettings) -> Section {
         Some(Split::Tiles(tiles)) => ("@tiles", tiles, 2),
         Some(Split::Passes(passes)) => ("@passes", [2, 2], passes),
     };
-    let choice = "/split_mode";
+    let mode = "/split_mode";
     let mut fields = vec![
         Field::new(
             "/settings/device",
             "Device",
             "",
             "Automatic: a GPU where there is a real one.",
-            Control::Choice { options: options(&[s.device], &devices.map(|(name, _)| name), &devices) },
+            choice(s.device, &devices),
         ),
         Field::new(
             "/settings/adapter",
@@ -529,13 +333,13 @@ fn execution(s: &RenderSettings) -> Section {
             "",
             modes(split, &[("", "One task"), ("@tiles", "By tiles"), ("@passes", "By samples")]),
         )
-        .named(choice),
+        .named(mode),
         Field::new("/settings/split/tiles/0", "Columns of tiles", "", "", whole(tiles[0], "1", "64"))
-            .when(choice, "@tiles", split),
+            .when(mode, "@tiles", split),
         Field::new("/settings/split/tiles/1", "Rows of tiles", "", "", whole(tiles[1], "1", "64"))
-            .when(choice, "@tiles", split),
+            .when(mode, "@tiles", split),
         Field::new("/settings/split/passes", "Shares", "", "Equal shares of the samples.", whole(passes, "2", "256"))
-            .when(choice, "@passes", split),
+            .when(mode, "@passes", split),
     ]);
     Section { title: "Execution", intro: "", fields }
 }
@@ -553,7 +357,7 @@ pub(super) fn summary(settings: &RenderSettings, scene: Option<&Scene>) -> Vec<(
         sections(settings, scene).iter().map(|section| (section.title, shown(&section.fields))).collect();
     for (index, row) in settings.lights.iter().enumerate() {
         let values: Vec<_> =
-            shown(&light(&index.to_string(), row)).into_iter().map(|(l, v)| format!("{l}: {v}")).collect();
+            shown(&light::fields(&index.to_string(), row)).into_iter().map(|(l, v)| format!("{l}: {v}")).collect();
         groups[2].1.push((format!("Light {}", index + 1), values.join("; ")));
     }
     groups

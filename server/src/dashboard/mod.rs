@@ -10,12 +10,15 @@
 //! | `/` | overview: state, running jobs, recent pictures, workers |
 //! | `/jobs`, `/jobs/{id}` | table of jobs; one job with its picture |
 //! | `/jobs/new` | form that submits a job |
+//! | `/queue` | what waits, in which order, and why |
 //! | `/compare` | pictures side by side, over each other, and what sets them apart |
 //! | `/farm`, `/farm/runs/{id}` | the regression farm: runs; the cases of one with their verdicts |
 //! | `/farm/history`, `/farm/decisions` | a case over its labels; who decided what |
+//! | `/farm/schedules` | runs that begin by the clock |
+//! | `/benchmarks` | what benchmarks found, by scene, device and parameter |
 //! | `/scenes`, `/scenes/{id}` | cards and upload; one scene |
 //! | `/workers` | devices, work in progress, caches |
-//! | `/meshes/{hash}` | structures that exist for a mesh |
+//! | `/meshes`, `/meshes/{hash}` | structures that exist, who holds them, how often they need not be built |
 //! | `/docs` | reference of the API, made from `/openapi.json` |
 //! | `/assets/{version}/{file}` | style sheet, scripts, pictures; cached for ever by version |
 //!
@@ -34,6 +37,7 @@ mod meshes;
 mod new_job;
 mod overview;
 mod page;
+mod queue;
 mod reference;
 mod scenes;
 mod schema;
@@ -54,14 +58,18 @@ pub fn router(api: Router) -> Router {
         .route("/jobs", get(jobs::list))
         .route("/jobs/new", get(new_job::show))
         .route("/jobs/{id}", get(job::show))
+        .route("/queue", get(queue::show))
         .route("/compare", get(compare::show))
+        .route("/benchmarks", get(benchmark::list::show))
         .route("/farm", get(farm::list))
         .route("/farm/runs/{id}", get(farm::run::show))
         .route("/farm/history", get(farm::history::show))
         .route("/farm/decisions", get(farm::decisions::list))
+        .route("/farm/schedules", get(farm::schedules::show))
         .route("/scenes", get(scenes::list))
         .route("/scenes/{id}", get(scenes::show))
         .route("/workers", get(workers::list))
+        .route("/meshes", get(meshes::list))
         .route("/meshes/{hash}", get(meshes::show))
         .route("/docs", get(reference::show))
         .route("/assets/{version}/{file}", get(assets::serve))

@@ -76,8 +76,11 @@ pub(super) async fn show(api: Api, headers: HeaderMap, Query(start): Query<Start
         scenes,
         sections: form::sections(&settings, scene.as_ref()),
         scene,
-        lights: (0..).zip(&settings.lights).map(|(n, light): (u32, _)| form::light(&n.to_string(), light)).collect(),
-        blank_light: form::light("__N__", &form::new_light()),
+        lights: (0..)
+            .zip(&settings.lights)
+            .map(|(n, light): (u32, _)| form::light::fields(&n.to_string(), light))
+            .collect(),
+        blank_light: form::light::fields("__N__", &form::light::new()),
         labels: origin.as_ref().map_or_else(String::new, |job| label_lines(&job.summary.labels)),
         priority: origin.as_ref().map_or(0, |job| job.summary.priority),
         max_attempts: origin.as_ref().map_or_else(String::new, |job| job.max_attempts.to_string()),

@@ -4,19 +4,22 @@ use askama::Template;
 use axum::extract::{Path, Query};
 use axum::response::{IntoResponse, Response};
 use lightshaft_api::job::JobSummary;
+use lightshaft_api::mesh::Mesh;
 use lightshaft_api::page::Page as List;
 use lightshaft_api::scene::{Bounds, Scene};
+use lightshaft_api::worker::Worker;
 use serde::Deserialize;
 
 use super::client::{Api, escape, with_query};
 use super::filters::{self, human_number};
 use super::job::JobRow;
+use super::meshes::Held;
 use super::page::{Page, PageError};
 
 #[derive(Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Cursor {
-    cursor: String,
+    pub(super) cursor: String,
 }
 
 #[derive(Template)]
@@ -45,13 +48,37 @@ struct ScenePage {
     here: &'static str,
     scene: Scene,
     jobs: Vec<JobRow>,
+    /// Structures of its meshes, of the first [`MOST_MESHES`].
+    held: Vec<Held>,
+}
+
+/// Meshes of a scene whose structures are shown.
+const MOST_MESHES: u32 = 200;
+
+impl ScenePage {
+    /// Structures of the mesh.
+    fn held(&self, hash: &str) -> Option<&Held> {
+        self.held.iter().find(|held| held.mesh.hash == hash)
+    }
+
+    fn structure_bytes(&self) -> u64 {
+        self.held.iter().map(|held| held.bytes).sum()
+    }
 }
 
 pub(super) async fn show(api: Api, Path(id): Path<String>) -> Result<Response, PageError> {
     let scene: Scene = api.get(&format!("/v1/scenes/{}", escape(&id))).await?;
     let jobs: List<JobSummary> =
         api.get(&with_query("/v1/jobs?automatic=false&limit=12", &[("scene", &scene.id)])).await?;
-    let page = ScenePage { here: "scenes", scene, jobs: jobs.items.into_iter().map(|job| JobRow { job }).collect() };
+    let meshes = with_query(&format!("/v1/meshes?limit={MOST_MESHES}"), &[("scene", &scene.id)]);
+    let meshes: List<Mesh> = api.get(&meshes).await?;
+    let workers: List<Worker> = api.get("/v1/workers").await?;
+    let page = ScenePage {
+        here: "scenes",
+        scene,
+        jobs: jobs.items.into_iter().map(|job| JobRow { job }).collect(),
+        held: meshes.items.into_iter().map(|mesh| Held::new(mesh, &workers.items)).collect(),
+    };
     Ok(Page(page).into_response())
 }
 

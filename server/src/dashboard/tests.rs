@@ -55,6 +55,9 @@ fn pages() -> Vec<String> {
     pages.extend(["/farm/history?suite=generated&case=cornell", "/farm/decisions?kind=rejected"].map(str::to_owned));
     pages.push(format!("/meshes/{}", fixture::HASH));
     pages.extend(
+        ["/queue", "/meshes", "/farm/schedules", "/benchmarks", "/benchmarks?by=line_space.n"].map(str::to_owned),
+    );
+    pages.extend(
         ["/compare", "/compare?p=j-succeeded", "/compare?p=j-succeeded&p=j-succeeded/image.png"].map(str::to_owned),
     );
     pages.push(format!("/compare?p={}&p=j-succeeded&mode=swipe", fixture::HASH));
@@ -75,7 +78,8 @@ async fn every_page_is_html_under_the_content_security_policy() {
 
 #[tokio::test]
 async fn every_page_works_on_an_empty_service() {
-    for path in ["/", "/jobs", "/jobs/new", "/scenes", "/workers", "/compare", "/farm", "/farm/decisions"] {
+    let pages = ["/", "/jobs", "/jobs/new", "/queue", "/scenes", "/meshes", "/workers", "/compare", "/benchmarks"];
+    for path in pages.into_iter().chain(["/farm", "/farm/decisions", "/farm/schedules"]) {
         let answer = get_from(false, path, &[]).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.body);
     }
@@ -212,6 +216,43 @@ async fn a_job_page_shows_what_is_known_of_it() {
 }
 
 #[tokio::test]
+async fn the_queue_says_why_each_waits_and_offers_to_move_it() {
+    let body = get("/queue").await.body;
+    for part in [
+        "id=\"turn-j-running\"",
+        "a GPU with `&#60;rtx&#62;` in its name",
+        "Every worker &#60;i&#62;left&#60;/i&#62;.",
+        "2 attempts failed, the last of: the driver &#60;i&#62;crashed",
+        "kept from it",
+        "data-body='{\"priority\":15}'",
+        "data-body='{\"priority\":-5}'",
+        "data-action=\"/v1/jobs/j-queued/cancel\"",
+    ] {
+        assert!(body.contains(part), "no {part}");
+    }
+}
+
+#[tokio::test]
+async fn benchmarks_stand_together_in_the_order_of_a_parameter() {
+    let body = get("/benchmarks?by=line_space.n").await.body;
+    for part in [
+        "64 bunnies &#60;script&#62;: primary &#60;rays&#62;",
+        "<option selected>line_space.n</option>",
+        "line_space.n = 10: large",
+        "data-export=\"csv\"",
+        "Speed against error",
+        "on the Pareto front",
+    ] {
+        assert!(body.contains(part), "no {part}");
+    }
+    assert!(!get("/benchmarks?device=none").await.body.contains("<svg viewBox=\"0 0 480"));
+    let schedule = get("/farm/schedules").await.body;
+    assert!(
+        schedule.contains("name=\"run/scenes/box &#60;b&#62;\"") && schedule.contains("The scene &#60;i&#62;is gone")
+    );
+}
+
+#[tokio::test]
 async fn a_run_shows_its_verdicts_and_offers_to_decide() {
     let all = get("/farm/runs/r1").await.body;
     for part in [
@@ -266,7 +307,7 @@ fn leaves(value: &Value, pointer: &str, found: &mut BTreeSet<String>) {
 
 fn full_settings() -> RenderSettings {
     RenderSettings {
-        lights: vec![form::new_light()],
+        lights: vec![form::light::new()],
         ground: Some(Ground::default()),
         camera: Some(CameraChoice::Index(0)),
         environment: Some(Environment::Map(EnvironmentMap {
@@ -283,7 +324,7 @@ fn full_settings() -> RenderSettings {
 fn all_fields(settings: &RenderSettings) -> Vec<Field> {
     let mut fields: Vec<Field> = form::sections(settings, None).into_iter().flat_map(|s| s.fields).collect();
     for (index, light) in settings.lights.iter().enumerate() {
-        fields.extend(form::light(&index.to_string(), light));
+        fields.extend(form::light::fields(&index.to_string(), light));
     }
     fields
 }

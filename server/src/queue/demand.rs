@@ -37,6 +37,11 @@ impl Demand {
         Self { cpu: settings.device() == DeviceChoice::Cpu, gpu, adapter }
     }
 
+    /// Whether every worker will do.
+    pub fn is_any(&self) -> bool {
+        !(self.cpu || self.gpu)
+    }
+
     pub fn is_met_by(&self, devices: &[Device]) -> bool {
         let has = |kind| devices.iter().any(|device| device.kind == kind && self.names(device));
         (!self.cpu || has(DeviceKind::Cpu)) && (!self.gpu || has(DeviceKind::Gpu))

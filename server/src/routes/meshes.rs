@@ -5,6 +5,8 @@ use axum::extract::State;
 use lightshaft_api::mesh::{FindStructures, FoundStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::page::Page;
 use lightshaft_api::problem::Problem;
+use serde::Deserialize;
+use utoipa::IntoParams;
 
 use crate::app::Shared;
 use crate::error::ApiResult;
@@ -12,9 +14,21 @@ use crate::store::PageRequest;
 use crate::web::body::{Id, Json, PageParams, Params};
 use crate::web::page::page;
 
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct MeshParams {
+    /// Meshes of this scene.
+    scene: Option<String>,
+    /// Rows, 1 to 200; 50 by default.
+    limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
 /// Meshes in order of their hash.
 #[utoipa::path(
-    get, path = "/v1/meshes", tag = "meshes", params(PageParams),
+    get, path = "/v1/meshes", tag = "meshes", params(MeshParams),
     responses(
         (status = 200, body = Page<Mesh>),
         (status = "default", body = Problem, content_type = "application/problem+json"),
@@ -22,10 +36,11 @@ use crate::web::page::page;
 )]
 pub(super) async fn list_meshes(
     State(app): State<Shared>,
-    Params(params): Params<PageParams>,
+    Params(MeshParams { scene, limit, cursor }): Params<MeshParams>,
 ) -> ApiResult<Reply<Page<Mesh>>> {
+    let params = PageParams { limit, cursor };
     let request = PageRequest { limit: params.limit()? + 1, after: params.after_hash()? };
-    Ok(page(app.meshes(&request).await?, request.limit, |mesh| &mesh.hash))
+    Ok(page(app.meshes(scene.as_deref(), &request).await?, request.limit, |mesh| &mesh.hash))
 }
 
 /// A mesh and the structures that exist for it.

@@ -9,6 +9,7 @@ mod leases;
 mod meshes;
 mod pictures;
 mod problems;
+mod queue;
 mod scenes;
 mod status;
 mod workers;
@@ -61,6 +62,7 @@ fn api() -> OpenApiRouter<Shared> {
         .routes(routes!(scenes::get_thumbnail))
         .routes(routes!(jobs::list_jobs, jobs::create_job))
         .routes(routes!(jobs::get_job, jobs::change_job, jobs::delete_job))
+        .routes(routes!(queue::get_queue))
         .routes(routes!(jobs::cancel_job))
         .routes(routes!(jobs::retry_job))
         .routes(routes!(jobs::list_tasks))

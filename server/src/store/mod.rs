@@ -18,8 +18,9 @@ use lightshaft_api::job::{
 };
 use lightshaft_api::lease::{Complete, Fail, LeaseScene, Part, SceneFile};
 use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
+use lightshaft_api::queue::{BlockedWorker, HeldTask};
 use lightshaft_api::scene::{Scene, SceneSummary};
-use lightshaft_api::settings::JobSettings;
+use lightshaft_api::settings::{Integrator, JobSettings};
 use lightshaft_api::status::StateCounts;
 use lightshaft_api::worker::{NewWorker, Worker};
 
@@ -118,6 +119,35 @@ impl TaskProgress {
 pub struct ListedJob {
     pub summary: JobSummary,
     pub progress: TaskProgress,
+}
+
+/// A line of the queue.
+#[derive(Clone, Debug)]
+pub struct QueuedRecord {
+    pub job: ListedJob,
+    pub demand: Demand,
+    /// The only worker that may do it, as id and name; any when `None`.
+    pub worker: Option<(String, String)>,
+    pub tasks_ready: u32,
+    pub tasks_blocked: u32,
+    /// When the first of its waiting tasks may run.
+    pub ready_at: Option<Millis>,
+    pub failures: u32,
+    pub last_error: Option<String>,
+    pub leases: Vec<HeldTask>,
+    pub blocked_workers: Vec<BlockedWorker>,
+}
+
+/// How quickly a finished job rendered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    pub scene: String,
+    /// Pixels times samples of each.
+    pub samples: f64,
+    pub rays: f64,
+    pub mrays_per_s: f64,
+    pub device: String,
+    pub device_kind: String,
 }
 
 /// The key of a repeated request, and what the request said.
@@ -279,7 +309,8 @@ pub trait Store: SuiteStore + RunStore + BaselineStore + ScheduleStore + Send + 
     async fn thumbnail_job(&self, scene: &str) -> Result<Option<String>>;
     /// Refused while a job that people asked for is unfinished; unfinished automatic jobs are cancelled.
     async fn delete_scene(&self, id: &str, now: Millis) -> Result<Removal>;
-    async fn meshes(&self, page: &PageRequest) -> Result<Vec<Mesh>>;
+    /// In order of their hash: all, or those of a scene.
+    async fn meshes(&self, scene: Option<&str>, page: &PageRequest) -> Result<Vec<Mesh>>;
     async fn mesh(&self, hash: &str) -> Result<Option<Mesh>>;
     /// Blobs of the structures that these meshes have, by mesh.
     async fn find_structures(&self, wanted: &FindStructures) -> Result<BTreeMap<String, String>>;
@@ -297,6 +328,10 @@ pub trait Store: SuiteStore + RunStore + BaselineStore + ScheduleStore + Send + 
     async fn job(&self, id: &str) -> Result<Option<Job>>;
     async fn job_state(&self, id: &str) -> Result<Option<JobState>>;
     async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>>;
+    /// Of the newest jobs that rendered with this integrator and succeeded, newest first.
+    async fn measurements(&self, integrator: Integrator, limit: u32) -> Result<Vec<Measurement>>;
+    /// Unfinished jobs: those that run, then those that wait by priority and age, then paused ones.
+    async fn queue(&self, limit: u32, now: Millis) -> Result<Vec<QueuedRecord>>;
     /// Nothing of an unknown job.
     async fn task_progress(&self, job: &str) -> Result<TaskProgress>;
     async fn tasks(&self, job: &str) -> Result<Vec<Task>>;

@@ -44,6 +44,10 @@ async fn validating_makes_nothing() {
     assert_eq!(answer.status, StatusCode::OK);
     let valid: ValidatedJob = answer.json();
     assert_eq!((valid.tasks, &json!(valid.job.settings)["width"]), (5, &json!(640)));
+    let estimate = valid.estimate;
+    assert_eq!((estimate.picture_bytes, estimate.line_space_bytes), (640 * 480 * 16, Some(0)));
+    assert_eq!(estimate.bytes, estimate.scene_bytes + estimate.picture_bytes);
+    assert_eq!((estimate.render_s, estimate.measured), (None, None), "nothing was measured yet");
     assert!(list(&service, "").await.is_empty());
     let wrong = service.post("/v1/jobs?validate_only=true", json!({ "scene": scene, "settings": { "spp": 0 } })).await;
     assert_eq!(wrong.pointers(), ["/settings/spp"]);

@@ -15,7 +15,7 @@ use crate::cache::{LineSpaceRecipe, Obtained};
 use crate::settings::LineSpaces;
 
 /// Meshes with fewer primitives have none: a ray is through them before it has found its shaft.
-const MIN_PRIMITIVES: usize = 64;
+pub(crate) const MIN_PRIMITIVES: usize = 64;
 
 /// One, or none, for each mesh; and what there is to tell about them.
 #[derive(Debug, Default)]

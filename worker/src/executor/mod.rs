@@ -32,6 +32,7 @@ use crate::cache::{StructureCache, StructureStore};
 
 pub(crate) use devices::Choice;
 pub use devices::Devices;
+pub(crate) use line_spaces::MIN_PRIMITIVES as MIN_LINE_SPACE_PRIMITIVES;
 pub(crate) use metrics::{peak_bytes, versions};
 pub use output::Artifact;
 pub(crate) use output::metrics_json;

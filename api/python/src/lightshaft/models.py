@@ -498,6 +498,25 @@ class EnvironmentMap:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Bytes from what is known of the scene and the settings, seconds from what was measured of jobs like it."""
+
+    #: All of these that are known.
+    bytes: int
+    #: Line Spaces at most; 0 without, and null where only building them tells (of an N-tree, and of kinds that do not
+    #: render).
+    line_space_bytes: int | None = None
+    #: What `render_s` rests on.
+    measured: MeasuredJobs | None = None
+    #: The picture with its layers in single precision, while it is rendered; 0 for kinds that do not render.
+    picture_bytes: int
+    #: Rendering alone, without fetching and building; null while nothing like it was measured.
+    render_s: float | None = None
+    #: Geometry, textures and structures in a worker's memory, roughly.
+    scene_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Event:
     """One event; `id` is also the SSE id, so that `Last-Event-ID` resumes after it."""
 
@@ -749,6 +768,20 @@ class LineSpaceUse:
     starts_inside: int
     #: That start too far away for single precision: the structure was walked.
     too_far: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredJobs:
+    """Jobs with the same integrator on one device."""
+
+    device: str
+    jobs: int
+    #: Median.
+    mrays_per_s: float
+    #: Rays of all kinds for each sample of a pixel, median.
+    rays_per_sample: float
+    #: Whether they rendered the same scene.
+    same_scene: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -1044,6 +1077,8 @@ class Structure:
     blob: str
     build_s: float
     builder_version: int
+    #: When a worker told of it.
+    built_at: datetime
     bytes: int
     kind: str
     parameters: str
@@ -1151,6 +1186,7 @@ class TimeResult:
 class ValidatedJob:
     """Answer to `POST /v1/jobs?validate_only=true`: the job as it would be made, every default filled in."""
 
+    estimate: Estimate
     job: NewJob
     #: How many tasks it would have.
     tasks: int

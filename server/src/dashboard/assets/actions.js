@@ -74,10 +74,22 @@ function bodyOf(form) {
     const lists = (form.dataset.lists ?? '').split(' ').filter(Boolean);
     const data = new FormData(form);
     const texts = [...data].filter(([name]) => !lists.includes(name));
-    return JSON.stringify({ ...Object.fromEntries(texts), ...Object.fromEntries(lists.map((name) => [name, data.getAll(name)])) });
+    return JSON.stringify({ ...nested(texts), ...Object.fromEntries(lists.map((name) => [name, data.getAll(name)])) });
   }
   const numbers = [...form.querySelectorAll('input[type=number]')].map((input) => [input.name, input.valueAsNumber]);
   return numbers.length > 0 ? JSON.stringify(Object.fromEntries(numbers)) : undefined;
+}
+
+// Values under their names, where `run/label` is the field `label` of `run`, escaped as in a JSON pointer (RFC 6901).
+function nested(values) {
+  const all = {};
+  for (const [name, value] of values) {
+    const path = name.split('/').map((part) => part.replaceAll('~1', '/').replaceAll('~0', '~'));
+    const last = path.pop();
+    const parent = path.reduce((target, part) => (target[part] ??= {}), all);
+    parent[last] = value;
+  }
+  return all;
 }
 
 async function copy(button) {

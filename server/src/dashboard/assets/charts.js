@@ -1,4 +1,4 @@
-// Charts as files: SVG with the colours that it has here, or PNG.
+// Charts as files: SVG with the colours that it has here, or PNG; tables as CSV.
 
 // Properties that style sheets give and a file of its own needs.
 const STYLES = ['fill', 'stroke', 'stroke-width', 'font-size', 'font-family', 'font-weight'];
@@ -8,15 +8,25 @@ const SCALE = 3;
 export function startCharts() {
   document.addEventListener('click', (event) => {
     const button = event.target.closest('[data-export]');
-    if (button) save(button.closest('figure').querySelector('svg'), button.dataset.export);
+    if (button?.dataset.export === 'csv') saveTable(button.closest('section').querySelector('table'));
+    else if (button) save(button.closest('figure').querySelector('svg'), button.dataset.export);
   });
 }
 
 async function save(svg, form) {
-  const name = (svg.getAttribute('aria-label') ?? 'chart').split(':')[0].toLowerCase().replaceAll(/[^a-z0-9]+/g, '-');
+  const name = nameOf((svg.getAttribute('aria-label') ?? 'chart').split(':')[0]);
   const text = new Blob([serialize(svg)], { type: 'image/svg+xml' });
   download(form === 'png' ? await toPng(text, svg.viewBox.baseVal) : text, `${name}.${form}`);
 }
+
+// As RFC 4180 has it.
+function saveTable(table) {
+  const quoted = (cell) => `"${cell.textContent.trim().replaceAll('"', '""')}"`;
+  const text = [...table.rows].map((row) => `${[...row.cells].map(quoted).join(',')}\r\n`).join('');
+  download(new Blob([text], { type: 'text/csv' }), `${nameOf(table.caption.textContent)}.csv`);
+}
+
+const nameOf = (title) => title.trim().toLowerCase().replaceAll(/[^a-z0-9]+/g, '-');
 
 function serialize(svg) {
   const copy = svg.cloneNode(true);

@@ -185,7 +185,8 @@ export class Controls {
     else if (key === '-') view.zoomButton('out');
     else if (key === '0') view.fit();
     else if (key === '9') view.zoomTo(1);
-    else if (key === 'escape' && state.pixel) comparison.change({ pixel: null });
+    else if (key === 'c') comparison.say(view.markCorner());
+    else if (key === 'escape' && state.pixel) view.letGo();
     else if (key === '?') this.help.showModal();
     else return false;
     return true;

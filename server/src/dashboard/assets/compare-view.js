@@ -17,6 +17,8 @@ export class View {
     this.stage.append(this.marks);
     this.pointers = new Map();
     this.hover = null;
+    // Where a part that is marked from the keyboard begins.
+    this.corner = null;
     this.listen();
   }
 
@@ -99,11 +101,35 @@ export class View {
     return this.state.pixel ?? this.hover;
   }
 
+  // To the next pixel, or as far as can be seen where pixels are smaller than the screen's.
   movePixel(dx, dy) {
     const { width, height } = this.comparison;
-    const from = this.pixel() ?? this.current(this.comparison.panes()[0]).center.map(Math.floor);
-    const pixel = [clamp(from[0] + dx, 0, width - 1), clamp(from[1] + dy, 0, height - 1)];
+    const { zoom, center } = this.current(this.comparison.panes()[0]);
+    const step = Math.max(1, Math.round(1 / zoom));
+    const from = this.pixel() ?? center.map(Math.floor);
+    const pixel = [clamp(from[0] + step * dx, 0, width - 1), clamp(from[1] + step * dy, 0, height - 1)];
     this.comparison.change({ pixel });
+  }
+
+  letGo() {
+    this.corner = null;
+    this.comparison.change({ pixel: null });
+  }
+
+  // Marks a part from the keyboard: from the pixel of one call to that of the next. Answers what there is to say.
+  markCorner() {
+    const pixel = this.pixel();
+    if (!pixel) return 'Hold a pixel first: Shift and an arrow, or a click.';
+    if (!this.corner) {
+      this.corner = pixel;
+      return `One corner is at ${pixel.join(', ')}. Go to the other one and press C again.`;
+    }
+    const low = [0, 1].map((axis) => Math.min(this.corner[axis], pixel[axis]));
+    const high = [0, 1].map((axis) => Math.max(this.corner[axis], pixel[axis]) + 1);
+    const crop = this.box(low, high);
+    this.corner = null;
+    this.comparison.change({ crop });
+    return `Marked ${crop[2]} × ${crop[3]} pixels.`;
   }
 
   listen() {

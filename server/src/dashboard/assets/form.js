@@ -1,6 +1,7 @@
 // The form that submits a job. Every field carries the JSON pointer of its value: the request is built from the pointers,
 // checked by the service while one types, and what the service says about a pointer appears beside its field.
 import { startEnvironment } from './environment.js';
+import { hideEstimate, showEstimate } from './estimate.js';
 import { element, request } from './problem.js';
 
 const CHECK_AFTER_MS = 300;
@@ -19,8 +20,9 @@ export function startForm() {
     const body = readForm(form);
     showCurl(form, body);
     try {
-      const { tasks } = await post('/v1/jobs?validate_only=true', body);
+      const { tasks, estimate } = await post('/v1/jobs?validate_only=true', body);
       if (mine !== round) return false;
+      showEstimate(estimate);
       const isReadable = complaints(form).size === 0;
       if (!isReadable) showProblem(form, { title: 'Some fields cannot be read', errors: [] });
       else showVerdict(form, true, tasks === 1 ? 'Ready to submit.' : `Ready to submit: ${tasks} tasks.`, []);
@@ -193,6 +195,7 @@ function showVerdict(form, good, text, others) {
 
 // Every error goes to the field whose pointer is the longest beginning of its own.
 function showProblem(form, problem) {
+  hideEstimate();
   const own = complaints(form);
   const errors = new Map([...form.querySelectorAll('.field')].map((box) => [box, own.get(box) ?? '']));
   const others = [];

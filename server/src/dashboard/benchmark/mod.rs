@@ -1,18 +1,18 @@
-//! What a benchmark found, on its job's page: tables with whiskers, pictures and heat maps.
+//! What a benchmark found, on its job's page: tables, bars with whiskers, charts, pictures and heat maps.
 
+mod bars;
+pub(super) mod list;
 mod scatter;
 
-use lightshaft_api::benchmark::{BenchmarkResults, Comparison, Row};
+use lightshaft_api::benchmark::{BenchmarkResults, Row};
 use lightshaft_api::job::{Artifact, Job};
 use lightshaft_worker::benchmark::report::{self, RESULTS_CSV, RESULTS_JSON, RESULTS_MARKDOWN, Table};
 
+pub(super) use self::bars::Bars;
 use self::scatter::Scatter;
 pub(super) use self::scatter::{HEIGHT, WIDTH};
 use super::client::{Api, escape};
 use super::page::PageError;
-
-/// Width of the whiskers' drawing in its own units, less what the end of a whisker needs.
-const FULL: f64 = 990.0;
 
 /// A benchmark's results.
 pub(super) struct Found {
@@ -25,18 +25,9 @@ pub(super) struct Found {
 
 pub(super) struct Compared {
     pub(super) table: Table,
-    pub(super) whiskers: Vec<Whisker>,
+    pub(super) bars: Option<Bars>,
     pub(super) charts: Vec<Scatter>,
     pub(super) pictures: Vec<Pair>,
-}
-
-/// Speed of one configuration: median and quartiles, on one scale that ends with the greatest upper quartile.
-pub(super) struct Whisker {
-    pub(super) name: String,
-    pub(super) label: String,
-    pub(super) low: f64,
-    pub(super) median: f64,
-    pub(super) high: f64,
 }
 
 /// A picture, and where it differs from the reference's.
@@ -60,8 +51,8 @@ impl Found {
         let comparisons = results.scenes.iter().flat_map(|scene| &scene.comparisons);
         let compared = report::tables(&results).into_iter().zip(comparisons).map(|(table, comparison)| Compared {
             table,
-            whiskers: whiskers(comparison),
-            charts: scatter::charts(comparison),
+            bars: Bars::of(&comparison.rows),
+            charts: scatter::charts(&comparison.rows),
             pictures: comparison.rows.iter().filter_map(|row| pair(row, &job.artifacts)).collect(),
         });
         Ok(Some(Self {
@@ -71,23 +62,6 @@ impl Found {
             comparisons: compared.collect(),
         }))
     }
-}
-
-fn whiskers(comparison: &Comparison) -> Vec<Whisker> {
-    let timed = || comparison.rows.iter().filter_map(|row| Some((row, row.timed.as_ref()?.mrays_per_s)));
-    let most = timed().map(|(_, speed)| speed.upper).fold(0.0, f64::max);
-    if most <= 0.0 {
-        return Vec::new();
-    }
-    let place = |speed: f64| speed / most * FULL;
-    let whisker = |(row, speed): (&Row, lightshaft_api::benchmark::Quartiles)| Whisker {
-        name: row.configuration.clone(),
-        label: format!("{:.3} MRays/s, quartiles {:.3} and {:.3}", speed.median, speed.lower, speed.upper),
-        low: place(speed.lower),
-        median: place(speed.median),
-        high: place(speed.upper),
-    };
-    timed().map(whisker).collect()
 }
 
 fn pair(row: &Row, artifacts: &[Artifact]) -> Option<Pair> {
@@ -103,11 +77,12 @@ fn pair(row: &Row, artifacts: &[Artifact]) -> Option<Pair> {
 
 #[cfg(test)]
 mod tests {
-    use lightshaft_api::benchmark::{Quartiles, Timed};
+    use lightshaft_api::benchmark::{Comparison, Quartiles, SceneResults, Timed};
 
     use super::*;
 
-    fn row(name: &str, speed: Option<f64>) -> Row {
+    /// A configuration, timed or not.
+    pub(super) fn row(name: &str, speed: Option<f64>) -> Row {
         Row {
             configuration: name.into(),
             acceleration: serde_json::Value::Null,
@@ -127,21 +102,43 @@ mod tests {
         }
     }
 
-    #[test]
-    fn whiskers_share_one_scale_and_leave_out_what_was_not_timed() {
-        let rows = vec![row("a", Some(1.0)), row("b", None), row("c", Some(4.0))];
+    /// Results of one comparison in one scene.
+    pub(super) fn results(rows: Vec<Row>) -> BenchmarkResults {
         let comparison = Comparison {
             effect: None,
-            title: String::new(),
+            title: "ambient occlusion".into(),
             note: String::new(),
             reference: None,
             views: Vec::new(),
             rows,
         };
-        let drawn = whiskers(&comparison);
-        let places: Vec<[f64; 3]> = drawn.iter().map(|w| [w.low, w.median, w.high]).collect();
-        assert_eq!(places, [[61.875, 123.75, 247.5], [247.5, 495.0, 990.0]]);
-        assert_eq!(drawn[1].label, "4.000 MRays/s, quartiles 2.000 and 8.000");
-        assert!(whiskers(&Comparison { rows: Vec::new(), ..comparison }).is_empty());
+        BenchmarkResults {
+            title: "Benchmark".into(),
+            preset: None,
+            source: None,
+            device: "AVX2, 2 threads".into(),
+            device_kind: "cpu".into(),
+            driver: String::new(),
+            versions: Default::default(),
+            width: 32,
+            height: 24,
+            spp: 1,
+            picture_spp: 2,
+            seed: 1,
+            repetitions: 3,
+            min_sample_s: 0.001,
+            columns: Vec::new(),
+            scenes: vec![SceneResults {
+                name: "pile".into(),
+                measured: "pile.glb".into(),
+                stand_in: false,
+                triangles: 12,
+                spheres: 0,
+                instances: 1,
+                meshes: 1,
+                comparisons: vec![comparison],
+            }],
+            total_s: 1.0,
+        }
     }
 }

@@ -4,7 +4,7 @@
 //! one of them (V. Pareto, *Manuale di economia politica*, 1906). Figures that were not measured are left out of the
 //! judgement, for all configurations alike.
 
-use lightshaft_api::benchmark::{Comparison, Row};
+use lightshaft_api::benchmark::Row;
 
 /// The drawing, in its own units.
 pub(in crate::dashboard) const WIDTH: f64 = 480.0;
@@ -72,10 +72,9 @@ impl Figures {
     }
 }
 
-/// Charts of a comparison: none where less than two configurations were timed.
-pub(in crate::dashboard) fn charts(comparison: &Comparison) -> Vec<Scatter> {
-    let measured: Vec<(usize, &Row, Figures)> = comparison
-        .rows
+/// Charts of configurations: none where less than two were timed.
+pub(in crate::dashboard) fn charts(rows: &[Row]) -> Vec<Scatter> {
+    let measured: Vec<(usize, &Row, Figures)> = rows
         .iter()
         .enumerate()
         .filter_map(|(index, row)| Figures::of(row).map(|figures| (index + 1, row, figures)))
@@ -132,7 +131,7 @@ fn front(points: impl Iterator<Item = (f64, f64)>, x: &Axis, y: &Axis) -> String
     path
 }
 
-struct Axis {
+pub(super) struct Axis {
     low: f64,
     high: f64,
     start: f64,
@@ -147,12 +146,16 @@ impl Axis {
         if low > 0.0 && high / low > LOG_FROM {
             return Self { low: low / 1.3, high: high * 1.3, start, end, is_log: true };
         }
-        // From 0, so that lengths can be compared by eye.
+        Self::from_zero(high, start, end)
+    }
+
+    /// Lengths can be compared by eye.
+    pub(super) fn from_zero(high: f64, start: f64, end: f64) -> Self {
         let high = if high > 0.0 { high * 1.08 } else { 1.0 };
         Self { low: 0.0, high, start, end, is_log: false }
     }
 
-    fn place(&self, value: f64) -> f64 {
+    pub(super) fn place(&self, value: f64) -> f64 {
         let share = if self.is_log {
             (value / self.low).ln() / (self.high / self.low).ln()
         } else {
@@ -161,7 +164,7 @@ impl Axis {
         self.start + share * (self.end - self.start)
     }
 
-    fn ticks(&self) -> Vec<Tick> {
+    pub(super) fn ticks(&self) -> Vec<Tick> {
         let values: Vec<f64> = if self.is_log {
             let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
             decades.flat_map(|decade| [1.0, 3.0].map(|digit| digit * 10f64.powi(decade))).collect()

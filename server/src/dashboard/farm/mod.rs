@@ -4,6 +4,7 @@ mod chart;
 pub(super) mod decisions;
 pub(super) mod history;
 pub(super) mod run;
+pub(super) mod schedules;
 
 use askama::Template;
 use axum::extract::Query;

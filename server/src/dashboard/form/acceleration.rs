@@ -2,7 +2,7 @@
 
 use lightshaft_api::settings::{Acceleration, LineSpace, StructureKind};
 
-use super::{Control, Field, options, policy, whole};
+use super::{ChoiceOption, Control, Field, chosen, name_of, options, policy, whole};
 
 const STRUCTURE: &str = "/settings/acceleration/structure";
 const STRUCTURES: [(&str, &str); 5] = [
@@ -18,10 +18,8 @@ const WITH_LINE_SPACES: &str = "\"two_level\" \"bvh\" \"ntree\"";
 const CELLS: &str = "\"grid\" \"octree\" \"ntree\"";
 
 pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
-    let names = STRUCTURES.map(|(name, _)| name);
-    let structures = options(&[a.structure], &names, &STRUCTURES);
-    let current = structures.iter().find(|option| option.selected).map(|option| option.value.clone());
-    let current = current.unwrap_or_default();
+    let structures = options(&[a.structure], &STRUCTURES.map(|(name, _)| name), &STRUCTURES);
+    let current = chosen(&structures);
     let qualities = options(&[a.quality], &["fast", "medium", "high"], &[]);
     let field = |name: &str, label, unit, help, control| {
         Field::new(&format!("/settings/acceleration/{name}"), label, unit, help, control)
@@ -84,28 +82,27 @@ fn line_space_fields(a: &Acceleration, structure: &str) -> Vec<Field> {
     let given = a.line_space.as_ref().filter(|_| !matches!(a.structure, StructureKind::Grid | StructureKind::Octree));
     let start = LineSpace::default();
     let l = given.unwrap_or(&start);
-    let chosen: Vec<_> = given.iter().map(|line_space| line_space.payload).collect();
-    let mut payloads = options(&chosen, &PAYLOADS.map(|(name, _)| name), &PAYLOADS);
-    let none = super::ChoiceOption { value: String::new(), label: "None".to_owned(), selected: given.is_none() };
+    let payload: Vec<_> = given.iter().map(|line_space| line_space.payload).collect();
+    let mut payloads = options(&payload, &PAYLOADS.map(|(name, _)| name), &PAYLOADS);
+    let none = ChoiceOption { value: String::new(), label: "None".to_owned(), selected: given.is_none() };
     payloads.insert(0, none);
-    let current = payloads.iter().find(|option| option.selected).map(|option| option.value.clone());
-    let current = current.unwrap_or_default();
+    let current = chosen(&payloads);
     let choice = |current: &[&str], all: &[(&str, &str)]| {
         let mut options = options(current, &all.iter().map(|(name, _)| *name).collect::<Vec<_>>(), all);
         options.insert(
             0,
-            super::ChoiceOption { value: String::new(), label: "Automatic".to_owned(), selected: current.is_empty() },
+            ChoiceOption { value: String::new(), label: "Automatic".to_owned(), selected: current.is_empty() },
         );
         Control::Choice { options }
     };
-    let builder = l.builder.as_ref().map(super::name_of);
+    let builder = l.builder.as_ref().map(name_of);
     let builders = choice(
         &builder.as_deref().map(|name| vec![name]).unwrap_or_default(),
         &[("mask", "Masks"), ("clip", "Clipping"), ("ray_cast", "Ray casting"), ("layered", "Layers, with proofs")],
     );
     let layouts = Control::Choice {
         options: [("", "Automatic", None), ("true", "A tree", Some(true)), ("false", "A table", Some(false))]
-            .map(|(value, label, means)| super::ChoiceOption {
+            .map(|(value, label, means)| ChoiceOption {
                 value: value.to_owned(),
                 label: label.to_owned(),
                 selected: l.hierarchical == means,

@@ -2,7 +2,7 @@
 
 use lightshaft_api::settings::{Acceleration, Policy};
 
-use super::{ChoiceOption, Control, Field, number, options};
+use super::{ChoiceOption, Control, Field, choice, chosen, number, options};
 
 pub(super) const POLICY: &str = "/settings/acceleration/policy";
 const POLICIES: [(&str, &str); 4] = [
@@ -21,23 +21,17 @@ pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
         let value = serde_json::to_string(&a.policy).unwrap_or_default();
         policies.push(ChoiceOption { value, label: "Bounce by bounce, as given".to_owned(), selected: true });
     }
-    let current = policies.iter().find(|option| option.selected).map(|option| option.value.clone());
-    let current = current.unwrap_or_default();
+    let current = chosen(&policies);
     let field = |name: &str, label, unit, help, control| {
         Field::new(&format!("/settings/acceleration/{name}"), label, unit, help, control)
     };
-    let choice = |current: String, all: &[(&str, &str)]| Control::Choice {
-        options: options(&[current], &all.iter().map(|(name, _)| *name).collect::<Vec<_>>(), all),
-    };
     let switch = |on| Control::Switch { on };
     let (adaptive, candidates) = (&a.adaptive, &a.representative);
-    let origin_node = choice(super::name_of(&a.origin_node), &[("exact", "Test its geometry"), ("skip", "Skip it")]);
-    let origin_object = choice(
-        super::name_of(&adaptive.origin_object),
-        &[("exact", "Test its geometry"), ("line_space", "Ask its boxes")],
-    );
+    let origin_node = choice(a.origin_node, &[("exact", "Test its geometry"), ("skip", "Skip it")]);
+    let origin_object =
+        choice(adaptive.origin_object, &[("exact", "Test its geometry"), ("line_space", "Ask its boxes")]);
     let origin_candidate = choice(
-        super::name_of(&candidates.origin_node),
+        candidates.origin_node,
         &[("exact", "Test its geometry"), ("approximate", "Ask its candidates: leaks light")],
     );
     vec![

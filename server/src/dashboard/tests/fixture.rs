@@ -8,6 +8,7 @@ use axum::{Json, Router};
 use lightshaft_api::job::{Job, JobSummary, NewJob};
 use lightshaft_api::mesh::Mesh;
 use lightshaft_api::page::Page;
+use lightshaft_api::queue::Queue;
 use lightshaft_api::scene::Scene;
 use lightshaft_api::status::Status;
 use lightshaft_api::worker::Worker;
@@ -118,8 +119,71 @@ pub(crate) fn mesh() -> Mesh {
     typed(json!({
         "hash": HASH, "triangles": 69_451, "spheres": 0,
         "structures": [{ "kind": "two_level", "parameters": "quality=medium", "builder_version": 1, "bytes": 9_123_456,
-            "build_s": 0.82, "blob": HASH, "workers": ["w1"] }],
+            "build_s": 0.82, "built_at": "2026-11-22T10:00:00Z", "blob": HASH, "workers": ["w1"] }],
     }))
+}
+
+/// What the service counts, as Prometheus reads it.
+pub(crate) const METRICS: &str = "# TYPE lightshaft_structures_total counter
+lightshaft_structures_total{source=\"memory\"} 12
+lightshaft_structures_total{source=\"disk\"} 3
+lightshaft_structures_total{source=\"fetched\"} 1
+lightshaft_structures_total{source=\"built\"} 4
+";
+
+/// A job that runs, and one that failed twice and waits. Or nothing.
+pub(crate) fn queue(is_busy: bool) -> Queue {
+    let entry = |job: Job, more: Value| {
+        let mut entry = serde_json::to_value(job.summary).expect("JSON");
+        entry.as_object_mut().expect("an object").extend(more.as_object().expect("an object").clone());
+        entry
+    };
+    let running = entry(
+        job("j-running", "running"),
+        json!({ "needs": null, "tasks_ready": 0, "tasks_blocked": 1,
+        "waiting": null, "ready_at": null, "failures": 0, "last_error": null, "blocked_workers": [],
+        "leases": [{ "task": "t0", "work": { "kind": "frame" }, "worker": "w1", "worker_name": "render & co",
+            "attempt": 2, "phase": "render", "expires_at": "2126-11-22T10:00:00Z" }] }),
+    );
+    let waiting = entry(
+        job("j-queued", "queued"),
+        json!({ "needs": "a GPU with `<rtx>` in its name", "tasks_ready": 2,
+        "tasks_blocked": 0, "waiting": "every worker <i>left</i>", "ready_at": "2026-11-22T10:00:00Z", "failures": 2,
+        "last_error": "the driver <i>crashed</i>", "leases": [],
+        "blocked_workers": [{ "worker": "w1", "worker_name": "render & co", "failures": 2,
+            "until": "2126-11-22T10:00:00Z" }] }),
+    );
+    let jobs = if is_busy { vec![running, waiting] } else { vec![] };
+    typed(json!({ "total": 2 * u64::from(is_busy), "jobs": jobs }))
+}
+
+/// Results of two configurations, with everything measured.
+fn benchmark_results() -> Value {
+    let row = |name: &str, n: u32, speed: f64| {
+        json!({ "configuration": name, "acceleration": { "structure": "two_level", "line_space": { "n": n } },
+            "unavailable": null, "paper": null, "warnings": [],
+            "built": { "init_s": 0.5, "structure_bytes": 9_000_000, "structure_nodes": 17, "line_space_bytes": 1_000_000 * n,
+                "line_spaces": 3, "cache": [] },
+            "timed": { "mrays_per_s": { "lower": 0.9 * speed, "median": speed, "upper": 1.1 * speed },
+                "frames_per_s": { "lower": 1.0, "median": 1.0, "upper": 1.0 }, "ratio": null,
+                "rays": { "primary": 1, "shadow": 0, "ao": 0, "indirect": 0 }, "samples": [],
+                "per_ray": { "box_tests": 1.0, "triangle_tests": 1.0, "look_ups": 0.0, "empty": 0.0, "opaque": 0.0,
+                    "mixed": 0.0, "starts_inside": 0.0, "approximated": 0.0 } },
+            "picture": { "rmse": 0.01, "flip": 0.02, "differing_pixels": 7, "heat_map": "h.png", "picture": "p.png" } })
+    };
+    json!({ "title": "Keul <4.1>", "preset": null, "source": null, "device": "AVX2 <i>", "device_kind": "cpu", "driver": "",
+        "versions": {}, "width": 640, "height": 480, "spp": 1, "picture_spp": 4, "seed": 1, "repetitions": 5,
+        "min_sample_s": 0.1, "columns": ["init_s", "mrays_per_s"], "total_s": 10.0,
+        "scenes": [{ "name": "64 bunnies <script>", "measured": "bunnies", "stand_in": false, "triangles": 69_451,
+            "spheres": 0, "instances": 64, "meshes": 1, "comparisons": [{ "effect": null, "title": "primary <rays>",
+                "note": "lit <i>well</i>", "reference": "base", "views": ["Front"],
+                "rows": [row("base <b>", 5, 2.0), row("large", 10, 3.0)] }] }] })
+}
+
+fn schedule() -> Value {
+    json!({ "id": "sc1", "name": "nightly <b>", "cron": "30 2 * * 1-5", "next_at": "2126-11-22T02:30:00Z",
+        "run": { "suite": "su1", "label": "nightly & more" }, "begun_at": null, "last_run": null,
+        "error": "the scene <i>is gone</i>", "created_at": "2026-11-22T10:00:00Z" })
 }
 
 fn farm_artifact(name: &str) -> Value {
@@ -206,7 +270,7 @@ pub(crate) fn status(scenes: u64) -> Status {
 struct Document;
 
 use lightshaft_api::event::Event;
-use lightshaft_api::farm::{Decision, History, Run, SuiteSummary};
+use lightshaft_api::farm::{Decision, History, Run, Schedule, SuiteSummary};
 use lightshaft_api::problem::Problem;
 
 fn document() -> Value {
@@ -273,6 +337,13 @@ pub(crate) fn api(scenes: bool) -> Router {
                 page(if scenes { vec![worker("w1", "busy"), worker("w0", "gone")] } else { vec![] }, None)
             }),
         )
+        .route("/v1/queue", get(move || async move { Json(queue(scenes)) }))
+        .route("/v1/jobs/{id}/artifacts/results.json", get(|| async { Json(benchmark_results()) }))
+        .route("/metrics", get(|| async { METRICS }))
+        .route(
+            "/v1/meshes",
+            get(move || async move { page(if scenes { vec![mesh()] } else { vec![] }, scenes.then_some(HASH)) }),
+        )
         .route(
             "/v1/meshes/{hash}",
             get(|Path(hash): Path<String>| async move {
@@ -295,6 +366,21 @@ pub(crate) fn api(scenes: bool) -> Router {
             get(move || async move {
                 let decisions: Vec<Decision> = if scenes { vec![typed(decision("rejected"))] } else { vec![] };
                 page(decisions, None)
+            }),
+        )
+        .route(
+            "/v1/farm/schedules",
+            get(move || async move {
+                let schedules: Vec<Schedule> = if scenes { vec![typed(schedule())] } else { vec![] };
+                page(schedules, None)
+            }),
+        )
+        .route(
+            "/v1/farm/suites/{id}",
+            get(|| async {
+                Json(json!({ "id": "su1", "name": "generated", "description": "", "hash": HASH, "cases": [],
+                    "scenes": { "box <b>": { "file": null, "generate": "cornell-box" } },
+                    "created_at": "2026-11-22T10:00:00Z" }))
             }),
         )
         .route(

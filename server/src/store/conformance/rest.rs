@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use lightshaft_api::event::EventKind;
-use lightshaft_api::job::{AttemptOutcome, CacheReport, CacheSource, JobState, Metrics, TaskState};
-use lightshaft_api::lease::{Complete, NewArtifact, RetryClass};
+use lightshaft_api::job::{AttemptOutcome, CacheReport, CacheSource, JobState, Metrics, RayCounts, TaskState};
+use lightshaft_api::lease::{Complete, Fail, NewArtifact, RetryClass};
 use lightshaft_api::mesh::{FindStructures, NewStructure};
-use lightshaft_api::settings::{DeviceChoice, Environment, EnvironmentMap, Split};
+use lightshaft_api::settings::{DeviceChoice, Environment, EnvironmentMap, Integrator, RenderSettings, Split};
 
-use super::{Farm, job_record, picture, scene_record};
+use super::{Farm, TTL, job_record, picture, scene_record};
 use crate::store::{Change, Close, Creation, Idempotency, JobQuery, JobRemoval, PageRequest, Removal};
 
 fn first_page(limit: u32) -> PageRequest {
@@ -301,6 +301,91 @@ pub(super) async fn pages_join_without_gap_or_repeat(farm: &Farm) {
     assert_eq!(seen, made, "jobs made meanwhile do not shift the pages");
 }
 
+pub(super) async fn the_queue_stands_in_the_order_of_turns(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let low = farm.job_with(&scene, |job| job.priority = -5).await;
+    farm.wait(10);
+    let first = farm.job(&scene).await;
+    farm.wait(10);
+    let second = farm.job(&scene).await;
+    let paused = farm.job_with(&scene, |job| job.priority = 50).await;
+    farm.store.patch_job(&paused, None, Some(true), farm.now()).await.unwrap();
+    let done = farm.job(&scene).await;
+    farm.store.cancel_job(&done, farm.now()).await.unwrap();
+    let order = async || -> Vec<String> {
+        let queue = farm.store.queue(10, farm.now()).await.unwrap();
+        queue.into_iter().map(|record| record.job.summary.id).collect()
+    };
+    assert_eq!(order().await, [&first, &second, &low, &paused].map(Clone::clone));
+    farm.store.patch_job(&low, Some(5), None, farm.now()).await.unwrap();
+    assert_eq!(order().await[0], low, "a changed priority takes effect");
+    let held = farm.claim(&farm.worker().await).await.unwrap();
+    assert_eq!(held.task.job, low, "the first of the queue is the first to be taken");
+    farm.store.patch_job(&second, Some(9), None, farm.now()).await.unwrap();
+    assert_eq!(order().await, [&low, &second, &first, &paused].map(Clone::clone), "what runs stands first");
+    assert_eq!(farm.store.queue(2, farm.now()).await.unwrap().len(), 2);
+}
+
+pub(super) async fn the_queue_tells_what_holds_a_job_up(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let tiles = |job: &mut crate::store::JobRecord| {
+        picture(job).split = Some(Split::Tiles([2, 1]));
+        picture(job).device = DeviceChoice::Gpu;
+        picture(job).adapter = Some("Radeon".to_owned());
+    };
+    let job = farm.job_with(&scene, tiles).await;
+    let (worker, other) = (farm.worker_with(&["Radeon"]).await, farm.worker_with(&["Radeon Pro"]).await);
+    let read = async || farm.store.queue(10, farm.now()).await.unwrap().remove(0);
+    let waiting = read().await;
+    assert_eq!((waiting.tasks_ready, waiting.tasks_blocked, waiting.failures), (2, 1, 0));
+    assert_eq!(waiting.demand.adapter.as_deref(), Some("radeon"));
+    assert_eq!((waiting.ready_at, waiting.leases.len()), (Some(farm.now()), 0));
+
+    for error in ["first", "second"] {
+        let held = farm.claim(&worker).await.unwrap();
+        let report = Fail { class: RetryClass::Worker, error: error.to_owned(), fatal: false };
+        farm.store.fail(&held.token, &report, 0.0, farm.now()).await.unwrap();
+        farm.wait(1);
+    }
+    let held = farm.claim(&other).await.unwrap();
+    let record = read().await;
+    assert_eq!(record.job.summary.id, job);
+    assert_eq!((record.failures, record.last_error.as_deref()), (2, Some("second")));
+    let lease = &record.leases[0];
+    assert_eq!((&lease.task, &lease.worker, lease.attempt), (&held.task.task, &other, held.task.number));
+    assert_eq!(lease.expires_at.as_millisecond(), farm.now() + TTL);
+    let block = &record.blocked_workers[0];
+    assert_eq!((&block.worker, block.failures), (&worker, 2));
+    farm.wait(block.until.as_millisecond() - farm.now());
+    assert!(read().await.blocked_workers.is_empty(), "it may try again");
+}
+
+pub(super) async fn measurements_are_those_of_jobs_that_rendered_alike(farm: &Farm) {
+    let (scene, _) = farm.scene().await;
+    let worker = farm.worker().await;
+    let job = farm.job_with(&scene, |job| (picture(job).width, picture(job).height) = (40, 30)).await;
+    let held = farm.claim(&worker).await.unwrap();
+    assert_eq!(held.task.job, job);
+    let rays = RayCounts { primary: 5000, shadow: 4000, ao: 0, indirect: 1000 };
+    let metrics = Metrics {
+        rays,
+        mrays_per_s: 2.5,
+        spp: 4,
+        device: "AVX2".into(),
+        device_kind: "cpu".into(),
+        ..Metrics::default()
+    };
+    let report = Complete { artifacts: Vec::new(), metrics };
+    farm.store.complete(&held.token, &report, farm.now()).await.unwrap();
+    farm.job(&scene).await;
+    let of = async |integrator| farm.store.measurements(integrator, 10).await.unwrap();
+    let found = of(RenderSettings::default().integrator).await;
+    let [measured] = found.as_slice() else { panic!("one has succeeded: {found:?}") };
+    assert_eq!((measured.samples, measured.rays), (40.0 * 30.0 * 4.0, 10_000.0));
+    assert_eq!((measured.scene == scene, measured.device_kind.as_str()), (true, "cpu"));
+    assert!(of(Integrator::Aov).await.is_empty());
+}
+
 pub(super) async fn events_tell_a_jobs_story_in_order(farm: &Farm) {
     let (scene, _) = farm.scene().await;
     let job = farm.job(&scene).await;
@@ -379,7 +464,7 @@ pub(super) async fn the_first_structure_of_a_key_is_kept(farm: &Farm) {
     assert_eq!((first.blob.as_str(), second.blob.as_str()), ("a", "a"));
     assert_eq!(farm.store.mesh(&mesh).await.unwrap().unwrap().structures, [first]);
     assert!(farm.store.add_structure("none", &structure("a"), farm.now()).await.unwrap().is_none());
-    assert_eq!(farm.store.meshes(&first_page(10)).await.unwrap().len(), 1);
+    assert_eq!(farm.store.meshes(None, &first_page(10)).await.unwrap().len(), 1);
 
     let (_, other) = farm.scene().await;
     let find = async |parameters: &str, builder_version| {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use sqlx::FromRow;
 
-use super::{SqliteStore, commit, context, signed, to_json};
+use super::{SqliteStore, commit, context, signed, timestamp, to_json};
 use crate::queue::Millis;
 use crate::store::{PageRequest, Result};
 
@@ -17,29 +17,35 @@ struct StructureRow {
     bytes: i64,
     build_s: f64,
     blob: String,
+    created_at: i64,
 }
 
-impl From<StructureRow> for Structure {
-    fn from(row: StructureRow) -> Self {
-        Self {
-            kind: row.kind,
-            parameters: row.parameters,
-            builder_version: row.builder_version,
-            bytes: row.bytes.unsigned_abs(),
-            build_s: row.build_s,
-            blob: row.blob,
+impl StructureRow {
+    fn into_structure(self) -> Result<Structure> {
+        Ok(Structure {
+            kind: self.kind,
+            parameters: self.parameters,
+            builder_version: self.builder_version,
+            bytes: self.bytes.unsigned_abs(),
+            build_s: self.build_s,
+            built_at: timestamp(self.created_at)?,
+            blob: self.blob,
             workers: Vec::new(),
-        }
+        })
     }
 }
 
 impl SqliteStore {
-    pub(super) async fn read_meshes(&self, page: &PageRequest) -> Result<Vec<Mesh>> {
+    pub(super) async fn read_meshes(&self, scene: Option<&str>, page: &PageRequest) -> Result<Vec<Mesh>> {
         let rows: Vec<(String, i64, i64)> = sqlx::query_as(
-            "SELECT hash, triangles, spheres FROM mesh WHERE $1 IS NULL OR hash > $1 ORDER BY hash LIMIT $2",
+            "SELECT hash, triangles, spheres FROM mesh
+             WHERE ($1 IS NULL OR hash > $1)
+               AND ($3 IS NULL OR hash IN (SELECT mesh_hash FROM scene_mesh WHERE scene_id = $3))
+             ORDER BY hash LIMIT $2",
         )
         .bind(&page.after)
         .bind(page.limit)
+        .bind(scene)
         .fetch_all(&self.readers)
         .await
         .map_err(context("reading meshes"))?;
@@ -73,14 +79,14 @@ impl SqliteStore {
 
     async fn read_structures(&self, mesh: &str) -> Result<Vec<Structure>> {
         let rows: Vec<StructureRow> = sqlx::query_as(
-            "SELECT kind, parameters, builder_version, bytes, build_s, blob FROM structure WHERE mesh_hash = $1
+            "SELECT kind, parameters, builder_version, bytes, build_s, blob, created_at FROM structure WHERE mesh_hash = $1
              ORDER BY kind, parameters, builder_version",
         )
         .bind(mesh)
         .fetch_all(&self.readers)
         .await
         .map_err(context("reading structures"))?;
-        Ok(rows.into_iter().map(Structure::from).collect())
+        rows.into_iter().map(StructureRow::into_structure).collect()
     }
 
     pub(super) async fn read_find_structures(&self, wanted: &FindStructures) -> Result<BTreeMap<String, String>> {
@@ -132,7 +138,7 @@ impl SqliteStore {
         .await
         .map_err(context("adding a structure"))?;
         let row: StructureRow = sqlx::query_as(
-            "SELECT kind, parameters, builder_version, bytes, build_s, blob FROM structure
+            "SELECT kind, parameters, builder_version, bytes, build_s, blob, created_at FROM structure
              WHERE mesh_hash = $1 AND kind = $2 AND parameters = $3 AND builder_version = $4",
         )
         .bind(mesh)
@@ -143,7 +149,7 @@ impl SqliteStore {
         .await
         .map_err(context("reading a structure"))?;
         commit(tx).await?;
-        Ok(Some(row.into()))
+        row.into_structure().map(Some)
     }
 
     pub(super) async fn read_is_blob_used(&self, hash: &str) -> Result<bool> {

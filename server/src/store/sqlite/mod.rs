@@ -10,8 +10,10 @@ mod demand;
 mod events;
 mod farm;
 mod jobs;
+mod measurements;
 mod meshes;
 mod offers;
+mod queue;
 mod read;
 mod removal;
 mod scenes;
@@ -28,6 +30,7 @@ use lightshaft_api::job::{Artifact, Attempt, Job, JobState, Phase, Task};
 use lightshaft_api::lease::{Complete, Fail};
 use lightshaft_api::mesh::{FindStructures, Mesh, NewStructure, Structure};
 use lightshaft_api::scene::Scene;
+use lightshaft_api::settings::Integrator;
 use lightshaft_api::worker::{NewWorker, Worker};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -36,8 +39,8 @@ use sqlx::{Sqlite, Transaction};
 
 use super::{
     Change, Claim, Claimed, Close, Completed, Creation, Demanding, Expired, Idempotency, JobQuery, JobRecord,
-    JobRemoval, LeaseState, ListedJob, PageRequest, Removal, Result, SceneRecord, Store, StoreError, TaskProgress,
-    Totals,
+    JobRemoval, LeaseState, ListedJob, Measurement, PageRequest, QueuedRecord, Removal, Result, SceneRecord, Store,
+    StoreError, TaskProgress, Totals,
 };
 use crate::queue::Millis;
 
@@ -187,8 +190,8 @@ impl Store for SqliteStore {
         self.do_delete_scene(id, now).await
     }
 
-    async fn meshes(&self, page: &PageRequest) -> Result<Vec<Mesh>> {
-        self.read_meshes(page).await
+    async fn meshes(&self, scene: Option<&str>, page: &PageRequest) -> Result<Vec<Mesh>> {
+        self.read_meshes(scene, page).await
     }
 
     async fn mesh(&self, hash: &str) -> Result<Option<Mesh>> {
@@ -225,6 +228,14 @@ impl Store for SqliteStore {
 
     async fn jobs(&self, query: &JobQuery, page: &PageRequest) -> Result<Vec<ListedJob>> {
         self.read_jobs(query, page).await
+    }
+
+    async fn measurements(&self, integrator: Integrator, limit: u32) -> Result<Vec<Measurement>> {
+        self.read_measurements(integrator, limit).await
+    }
+
+    async fn queue(&self, limit: u32, now: Millis) -> Result<Vec<QueuedRecord>> {
+        self.read_queue(limit, now).await
     }
 
     async fn task_progress(&self, job: &str) -> Result<TaskProgress> {

@@ -8,7 +8,7 @@ use lightshaft_api::status::StateCounts;
 use sqlx::{FromRow, QueryBuilder, Sqlite};
 
 use super::jobs::{counts, read_state};
-use super::{SqliteStore, context, from_json, from_name, timestamp};
+use super::{SqliteStore, context, from_json, from_name, timestamp, to_json};
 use crate::store::{JobQuery, ListedJob, PageRequest, Result, TaskProgress, Totals};
 
 /// A line of the list of jobs for every row of `page`, which names ids.
@@ -188,6 +188,15 @@ impl SqliteStore {
         let mut statement = QueryBuilder::new("WITH page AS (");
         push_page(&mut statement, query, page);
         statement.push(")").push(LISTED);
+        let rows: Vec<JobRow> =
+            statement.build_query_as().fetch_all(&self.readers).await.map_err(context("reading jobs"))?;
+        rows.into_iter().map(JobRow::into_listed).collect()
+    }
+
+    /// Lines of the list of jobs for these ids, in no particular order.
+    pub(super) async fn read_jobs_by_id(&self, ids: &[String]) -> Result<Vec<ListedJob>> {
+        let mut statement = QueryBuilder::new("WITH page AS (SELECT value AS id FROM json_each(");
+        statement.push_bind(to_json(&ids)?).push("))").push(LISTED);
         let rows: Vec<JobRow> =
             statement.build_query_as().fetch_all(&self.readers).await.map_err(context("reading jobs"))?;
         rows.into_iter().map(JobRow::into_listed).collect()
