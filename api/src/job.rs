@@ -48,9 +48,9 @@ impl<'de> Deserialize<'de> for JobKind {
         let name = String::deserialize(deserializer)?;
         match Self::from_name(&name) {
             Some(kind) => Ok(kind),
-            None if name == "compare" => {
-                Err(D::Error::custom("`compare` is not there yet: there are `render`, `benchmark` and `build`"))
-            }
+            None if name == "compare" => Err(D::Error::custom(
+                "comparing pictures is no job: POST /v1/compare answers at once. Jobs are `render`, `benchmark` and `build`",
+            )),
             None => Err(D::Error::unknown_variant(&name, &["render", "benchmark", "build"])),
         }
     }
