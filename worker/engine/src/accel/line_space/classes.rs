@@ -6,6 +6,7 @@
 //! on. It grows with the silhouettes of a mesh instead of N^4.
 
 use super::Patch;
+use super::blocks::PackedBlocks;
 use super::shaft::symmetric_index;
 
 /// What holds for every line of a shaft. All that concerns lines holds for both directions.
@@ -23,7 +24,7 @@ pub enum Class {
 impl Class {
     const ALL: [Self; 3] = [Self::Empty, Self::Opaque, Self::Mixed];
 
-    fn from_code(code: u32) -> Self {
+    pub(super) fn from_code(code: u32) -> Self {
         Self::ALL[code as usize]
     }
 }
@@ -95,8 +96,8 @@ pub struct ClassTree {
     root_n: u32,
     /// Split codes in front of the group, then [`GROUP`] blocks.
     inner: Vec<Vec<[u32; 1 + GROUP]>>,
-    /// The finest level has no splits.
-    last: Vec<u32>,
+    /// The finest level has no splits, and most of the blocks.
+    last: PackedBlocks,
 }
 
 impl ClassTree {
@@ -117,7 +118,7 @@ impl ClassTree {
             return Err("the finest level of the classes is split".into());
         }
         let inner = levels.into_iter().map(|blocks| grouped(&blocks)).collect();
-        Ok(Self { root_n, inner, last })
+        Ok(Self { root_n, inner, last: PackedBlocks::new(&last) })
     }
 
     /// The blocks of each level, the coarsest first.
@@ -130,7 +131,7 @@ impl ClassTree {
             counts.push(blocks.iter().map(|&block| splits(block).count_ones() as usize).sum());
             levels.push(blocks);
         }
-        levels.push(self.last.clone());
+        levels.push(self.last());
         levels
     }
 
@@ -140,8 +141,8 @@ impl ClassTree {
     }
 
     /// Blocks of the finest level.
-    pub(crate) fn last(&self) -> &[u32] {
-        &self.last
+    pub(crate) fn last(&self) -> Vec<u32> {
+        self.last.unpacked()
     }
 
     /// N of the finest level.
@@ -175,12 +176,11 @@ impl ClassTree {
             let bit = |value: u32| (value >> shift & 1) as usize;
             slot = bit(a.v) << 3 | bit(a.u) << 2 | bit(b.v) << 1 | bit(b.u);
         }
-        Class::from_code(self.last[block] >> (2 * slot) & 3)
+        self.last.class(block, slot)
     }
 
     pub fn bytes(&self) -> usize {
-        self.inner.iter().map(|groups| size_of_val(groups.as_slice())).sum::<usize>()
-            + size_of_val(self.last.as_slice())
+        self.inner.iter().map(|groups| size_of_val(groups.as_slice())).sum::<usize>() + self.last.bytes()
     }
 }
 

@@ -12,6 +12,7 @@
 //! [`NodeSpaces`] are the same on the nodes of a mesh's BVH, and [`SurfaceShafts`] do the same for rays that start on the mesh. Both belong to a mesh and are cached as structures are.
 
 mod bits;
+mod blocks;
 mod candidates;
 mod cast;
 mod classes;

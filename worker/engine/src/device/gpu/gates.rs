@@ -34,7 +34,7 @@ pub(super) fn record(space: &LineSpace) -> Option<Vec<[u32; 4]>> {
                 parts.push(record.len() as u32);
                 record.extend_from_slice(level);
             }
-            append(&mut record, &mut parts, tree.last());
+            append(&mut record, &mut parts, &tree.last());
             CLASS_TREE
         }
         Shafts::Table(table) => {
