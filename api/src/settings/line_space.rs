@@ -19,10 +19,13 @@ const MAX_DEPTH: u32 = 12;
 pub struct LineSpace {
     pub payload: LineSpacePayload,
     /// Patches along the edge of a face. Of `tri_state`: 1 to 32, 16 when null. Of `binary`: 1 to 12 with builder `mask`, 1 to
-    /// 32 with the others, 8 when null. Of `candidate`: 1 to 32, 6 when null. Of `coverage`: 1 to 32, 8 when null.
+    /// 32 with the others, 8 when null. Of `candidate`: 1 to 32, 6 when null. Of `coverage`: 1 to 32, 8 when null. With masks in an
+    /// `ntree`: at most its own `n`, for patches are whole cells wide; when null two cells right below the root and four cells below that,
+    /// and one cell with an approximate policy.
     pub n: Option<u32>,
     /// Levels of the structure below its root whose boxes have Line Spaces. Of `two_level`: 0, the mesh's own box, when null.
-    /// Of `ntree`: 1, the nodes right below the root, when null.
+    /// Of `ntree`: with policy `exact` those of all levels down to it, 1 when null, the nodes right below the root; with others the
+    /// nodes at that depth, when null the deepest, or of `candidate` 1.
     pub depth: Option<u32>,
     /// How it is made. Of `binary`: `mask` (when null), `clip` or `ray_cast`. Of `tri_state`: `layered`. Of the others:
     /// `ray_cast`.

@@ -7,6 +7,8 @@ use super::validate::Checker;
 use super::{Acceleration, DeviceChoice, LineSpace, LineSpaceBuilder, LineSpacePayload, StructureKind};
 use crate::problem::FieldError;
 
+const ADAPTIVE_BY_OBJECT: &str = "adaptive chooses by object: structure two_level";
+
 /// Bounces that can be told apart: as many as a path has.
 const MAX_BOUNCES: usize = 65;
 
@@ -128,7 +130,7 @@ impl Acceleration {
         match self.policy {
             Policy::Exact => false,
             Policy::ApproximateOcclusion => {
-                self.structure == StructureKind::Bvh
+                self.structure != StructureKind::TwoLevel
                     || self.line_space.as_ref().is_some_and(|l| l.depth.unwrap_or(0) > 0)
             }
             Policy::Adaptive | Policy::Representative | Policy::PerBounce(_) => true,
@@ -169,21 +171,40 @@ impl Acceleration {
         line_space.validate(self.structure, &format!("{prefix}/line_space"), errors);
     }
 
-    /// Line Spaces of the nodes of an N-tree: as many patches as cells, from which they are made.
+    /// Line Spaces of the nodes of an N-tree. Masks are made of its cells, so their patches are whole cells wide.
     fn validate_cells(&self, line_space: &LineSpace, prefix: &str, errors: &mut Vec<FieldError>) {
         let mut c = Checker { prefix, errors };
         let (n, levels) = (self.n.unwrap_or(6), self.depth.unwrap_or(3));
-        c.check(self.policy == Policy::Exact, "policy", "must be exact with structure ntree");
-        let fits = line_space.payload == LineSpacePayload::Binary;
-        c.check(fits, "line_space/payload", "must be binary with structure ntree");
-        let fits = line_space.builder.is_none_or(|builder| builder == LineSpaceBuilder::Mask);
-        c.check(fits, "line_space/builder", "must be mask with structure ntree");
-        c.check(n <= 12, "n", "must be 2 to 12 with a line_space: masks grow with its seventh power");
-        let fits = line_space.n.is_none_or(|patches| patches == n);
-        c.check(fits, "line_space/n", &format!("must be the structure's n, {n}, or null"));
-        let fits = line_space.depth.is_none_or(|depth| depth < levels);
+        let (payload, builder) = (line_space.payload, line_space.builder_or_default());
+        let bounces = self.policy.bounces();
+        c.check(!bounces.contains(&BouncePolicy::Adaptive), "policy", ADAPTIVE_BY_OBJECT);
+        let asks_nodes = self.asks_nodes();
+        let (fits, which) = if bounces.contains(&BouncePolicy::Representative) {
+            (payload == LineSpacePayload::Candidate, "candidate with policy representative")
+        } else if asks_nodes {
+            (
+                payload != LineSpacePayload::TriState,
+                "binary, candidate or coverage with structure ntree and this policy",
+            )
+        } else {
+            (payload == LineSpacePayload::Binary, "binary with structure ntree and policy exact")
+        };
+        c.check(fits, "line_space/payload", &format!("must be {which}"));
+        let is_masked = payload == LineSpacePayload::Binary && builder == LineSpaceBuilder::Mask;
+        let is_cast = asks_nodes && builder == LineSpaceBuilder::RayCast;
+        let which = if asks_nodes {
+            "mask or ray_cast with structure ntree"
+        } else {
+            "mask with structure ntree and policy exact"
+        };
+        let is_right = !fits || is_masked || is_cast;
+        c.check(is_right, "line_space/builder", &format!("must be {which}"));
+        let fits = !is_masked || line_space.n.is_none_or(|patches| patches <= n);
+        c.check(fits, "line_space/n", &format!("must be at most the structure's n, {n}: patches are whole cells wide"));
+        c.check(levels > 1, "depth", "must be at least 2 with a line_space: nodes below the root have them");
+        let fits = line_space.depth.is_none_or(|depth| (1..levels).contains(&depth)) || levels <= 1;
         let deepest = levels.max(1) - 1;
-        c.check(fits, "line_space/depth", &format!("must be 0 to {deepest}, below the structure's depth, or null"));
+        c.check(fits, "line_space/depth", &format!("must be 1 to {deepest}, below the structure's depth, or null"));
     }
 
     /// Line Spaces of meshes, and of the nodes of their BVHs.
@@ -197,11 +218,7 @@ impl Acceleration {
             "policy",
             "must not be exact with structure bvh: a ray inside the scene's only box is told nothing",
         );
-        c.check(
-            !(is_flat && asks(BouncePolicy::Adaptive)),
-            "policy",
-            "adaptive chooses by object: structure two_level",
-        );
+        c.check(!(is_flat && asks(BouncePolicy::Adaptive)), "policy", ADAPTIVE_BY_OBJECT);
         let is_deep = line_space.depth.is_some_and(|depth| depth > 0);
         c.check(
             !(is_deep && self.policy == Policy::Exact),
@@ -249,25 +266,48 @@ mod tests {
     }
 
     #[test]
-    fn nodes_of_an_ntree_have_as_many_patches_as_cells() {
-        let ntree = |n: u32, line_space: Value| {
-            wrong(json!({ "acceleration": { "structure": "ntree", "n": n, "depth": 3, "line_space": line_space } }))
+    fn nodes_of_an_ntree_have_line_spaces_of_what_their_policy_asks() {
+        let with = |n: u32, policy: Value, line_space: Value| {
+            let acceleration =
+                json!({ "structure": "ntree", "n": n, "depth": 3, "line_space": line_space, "policy": policy });
+            wrong(json!({ "acceleration": acceleration }))
         };
+        let exact = |n: u32, line_space: Value| with(n, json!("exact"), line_space);
         for good in [
             json!({ "payload": "binary" }),
             json!({ "payload": "binary", "n": 8, "depth": 2, "builder": "mask" }),
-            json!({ "payload": "binary", "ask": "always", "on_over_budget": "skip" }),
+            json!({ "payload": "binary", "n": 1, "depth": 1, "ask": "always", "on_over_budget": "skip" }),
         ] {
-            assert_eq!(ntree(8, good.clone()), [""; 0], "{good}");
+            assert_eq!(exact(8, good.clone()), [""; 0], "{good}");
         }
-        assert_eq!(ntree(8, json!({})), ["line_space/payload"]);
-        assert_eq!(ntree(8, json!({ "payload": "binary", "n": 6, "depth": 3 })), ["line_space/n", "line_space/depth"]);
-        assert_eq!(ntree(8, json!({ "payload": "binary", "builder": "clip" })), ["line_space/builder"]);
-        assert_eq!(ntree(13, json!({ "payload": "binary" })), ["n"]);
-        let approximate = json!({
-            "structure": "ntree", "line_space": { "payload": "binary" }, "policy": "approximate_occlusion",
+        assert_eq!(exact(8, json!({})), ["line_space/payload"]);
+        assert_eq!(exact(8, json!({ "payload": "binary", "depth": 0 })), ["line_space/depth"]);
+        assert_eq!(exact(8, json!({ "payload": "binary", "n": 9, "depth": 3 })), ["line_space/n", "line_space/depth"]);
+        assert_eq!(exact(8, json!({ "payload": "binary", "builder": "clip" })), ["line_space/builder"]);
+        assert_eq!(exact(8, json!({ "payload": "binary", "builder": "ray_cast" })), ["line_space/builder"]);
+        assert_eq!(exact(16, json!({ "payload": "binary" })), [""; 0]);
+        assert_eq!(exact(16, json!({ "payload": "binary", "n": 13 })), ["line_space/n"]);
+
+        let (occlusion, representative) = (|| json!("approximate_occlusion"), || json!("representative"));
+        let candidate = || json!({ "payload": "candidate", "n": 10 });
+        for (policy, line_space) in [
+            (occlusion(), json!({ "payload": "binary" })),
+            (occlusion(), json!({ "payload": "binary", "builder": "ray_cast", "n": 20, "depth": 1 })),
+            (occlusion(), json!({ "payload": "coverage", "depth": 2 })),
+            (representative(), candidate()),
+            (json!({ "per_bounce": ["exact", "approximate_occlusion", "representative"] }), candidate()),
+        ] {
+            assert_eq!(with(8, policy, line_space.clone()), [""; 0], "{line_space}");
+        }
+        assert_eq!(with(8, occlusion(), json!({})), ["line_space/payload"]);
+        assert_eq!(with(8, representative(), json!({ "payload": "binary" })), ["line_space/payload"]);
+        assert_eq!(with(8, occlusion(), json!({ "payload": "binary", "depth": 0 })), ["line_space/depth"]);
+        assert_eq!(with(8, occlusion(), json!({ "payload": "binary", "builder": "clip" })), ["line_space/builder"]);
+        assert_eq!(with(8, json!("adaptive"), json!({ "payload": "binary" })), ["policy"]);
+        let flat = json!({
+            "structure": "ntree", "depth": 1, "policy": "approximate_occlusion", "line_space": { "payload": "binary" },
         });
-        assert_eq!(wrong(json!({ "acceleration": approximate })), ["policy"]);
+        assert_eq!(wrong(json!({ "acceleration": flat })), ["depth"]);
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! Rays per second, memory and build time of every acceleration structure beside the two-level BVH, in the same run.
 //!
 //! `cargo bench -p lightshaft-engine --bench structures -- [--rounds 5] [--threads 2] [--rays 500000]
-//! [--scene FILE.glb]... [--only PREFIX]...`
+//! [--scene FILE.glb]... [--only PREFIX]... [--patches N]...`
 //!
-//! Each N-tree is also measured with the Line Spaces of its nodes, right behind it; its ratio in brackets is to the tree without.
+//! Each N-tree is also measured with the Line Spaces of its nodes (`--patches N`: also of so many patches), right behind it;
+//! the ratio in brackets is to the tree without.
 //!
 //! Rounds are interleaved, so that a machine's moods meet all alike; the table shows medians, and in brackets the ratio
 //! to `two_level`. Rays: see `common/rays.rs`.
@@ -20,8 +21,8 @@ use std::sync::atomic::AtomicBool;
 use common::{Random, median, number, terrain, timed, values};
 use glam::{Affine3A, Vec3};
 use lightshaft_engine::accel::{
-    BuildParams, CellShafts, GridParams, GridResolution, NTreeParams, OctreeParams, Placement, Quality, SceneAccel,
-    Structure, StructureParams, flatten,
+    BuildParams, CellShaftParams, CellShafts, GridParams, GridResolution, NTreeParams, OctreeParams, Placement,
+    Quality, SceneAccel, Structure, StructureParams, flatten,
 };
 use lightshaft_engine::pack::placements;
 use lightshaft_engine::scene::{Limits, Mesh, import_file};
@@ -66,8 +67,21 @@ fn flat_structures() -> Vec<(&'static str, StructureParams)> {
     .collect()
 }
 
+/// The Line Spaces of an N-tree's nodes that are compared: `--patches N` for each is in all levels, none stands for the default.
+fn shaft_params(levels: u32) -> Vec<(String, CellShaftParams)> {
+    let mut all = vec![];
+    for levels in [1, levels - 1] {
+        all.push((format!("  + {levels} levels"), CellShaftParams { levels, patches: None }));
+        for patches in values("--patches").iter().map(|value| value.parse().expect("--patches wants a number")) {
+            let label = format!("  + {levels} levels, {patches} patches");
+            all.push((label, CellShaftParams { levels, patches: Some(patches) }));
+        }
+    }
+    all
+}
+
 struct Candidate {
-    name: &'static str,
+    name: String,
     build_s: f64,
     bytes: usize,
     nodes: usize,
@@ -77,7 +91,7 @@ struct Candidate {
 }
 
 impl Candidate {
-    fn new(name: &'static str, build_s: f64, scene: SceneAccel) -> Self {
+    fn new(name: String, build_s: f64, scene: SceneAccel) -> Self {
         let bytes = scene.structures().iter().map(Structure::bytes).sum::<usize>() + scene.top_bytes();
         let nodes = scene.structures().iter().map(Structure::node_count).sum::<usize>() + scene.top().nodes.len();
         Self { name, build_s, bytes, nodes, base: 0, scene: Ours(scene) }
@@ -94,7 +108,7 @@ fn run(name: &str, meshes: &[Arc<Mesh>], placements: &[Placement], threads: usiz
     let mut candidates = vec![];
     for (name, quality) in [("two_level", Quality::Medium), ("two_level high", Quality::High)] {
         let (build_s, scene) = timed(|| two_level(meshes, placements, quality));
-        candidates.push(Candidate::new(name, build_s, scene));
+        candidates.push(Candidate::new(name.to_owned(), build_s, scene));
     }
     let (flatten_s, flat) = timed(|| flatten(meshes, placements));
     let (flat, names) = flat.expect("flattens");
@@ -108,24 +122,30 @@ fn run(name: &str, meshes: &[Arc<Mesh>], placements: &[Placement], threads: usiz
     for (name, params) in flat_structures() {
         match timed(|| Structure::build(&flat, &params, &AtomicBool::new(false))) {
             (build_s, Ok(built)) => {
-                let shafts = built.cells().filter(|_| params.kind() == "ntree").map(|tree| {
-                    timed(|| CellShafts::build(tree, 0..2, 8 << 30, &AtomicBool::new(false)).expect("builds"))
-                });
-                candidates.push(Candidate::new(name, build_s, SceneAccel::flat(built.clone(), names.clone())));
-                if let Some((shafts_s, shafts)) = shafts {
+                let is_ntree = params.kind() == "ntree";
+                candidates.push(Candidate::new(
+                    name.to_owned(),
+                    build_s,
+                    SceneAccel::flat(built.clone(), names.clone()),
+                ));
+                let (base, tree) = (candidates.len() - 1, built.cells().filter(|_| is_ntree));
+                for (label, params) in tree.map_or(vec![], |tree| shaft_params(tree.levels())) {
+                    let tree = built.cells().expect("an N-tree");
+                    let never = AtomicBool::new(false);
+                    // Once before, for the atlas of its masks.
+                    CellShafts::build(tree, &params, 8 << 30, &never).expect("builds");
+                    let (shafts_s, shafts) =
+                        timed(|| CellShafts::build(tree, &params, 8 << 30, &never).expect("builds"));
                     println!(
-                        "{name}: line spaces of {} nodes, {:.1} MB, {:.3} of their shafts marked",
+                        "{name}{label}: {} nodes, {:.2} MB, {:.3} of their shafts marked",
                         shafts.count(),
                         shafts.bytes() as f64 / 1e6,
                         shafts.marked_share()
                     );
                     let bytes = shafts.bytes();
-                    let scene =
-                        SceneAccel::flat(built, names.clone()).with_cell_shafts(Arc::new(shafts)).expect("fits");
-                    let mut candidate = Candidate::new("  + line spaces", shafts_s, scene);
-                    candidate.bytes = bytes;
-                    candidate.base = candidates.len() - 1;
-                    candidates.push(candidate);
+                    let scene = SceneAccel::flat(built.clone(), names.clone());
+                    let scene = scene.with_cell_shafts(Arc::new(shafts)).expect("fits");
+                    candidates.push(Candidate { bytes, base, ..Candidate::new(label, shafts_s, scene) });
                 }
             }
             (_, Err(error)) => println!("{name}: {error}"),

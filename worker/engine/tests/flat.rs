@@ -10,8 +10,8 @@ use common::*;
 use glam::{Affine3A, Quat, Vec3};
 use lightshaft_engine::accel::line_space::MAX_MASK_N;
 use lightshaft_engine::accel::{
-    BuildError, BuildParams, CellShafts, GridParams, GridResolution, HitFilter, NTreeParams, OctreeParams, Placement,
-    SceneAccel, Structure, StructureParams, flat_hash, flatten,
+    BuildError, BuildParams, CellShaftParams, CellShafts, CellTree, GridParams, GridResolution, HitFilter, NTreeParams,
+    OctreeParams, Placement, SceneAccel, Structure, StructureParams, flat_hash, flatten,
 };
 use lightshaft_engine::scene::{Mesh, MeshHash, Sphere};
 use lightshaft_engine::trace::{Counters, Hit, Kernels, Ray};
@@ -64,21 +64,28 @@ fn all_scenes(mesh: &Mesh) -> Vec<(StructureParams, SceneAccel)> {
             let scene = SceneAccel::build(vec![structure.clone()], &[place(Affine3A::IDENTITY)]);
             scenes.push((params, scene.with_kernels(kernels)));
         }
-        if matches!(params, StructureParams::NTree(NTreeParams { n: 0..=MAX_MASK_N, .. })) {
-            scenes.extend(Kernels::available().into_iter().map(|kernels| (params, gated(mesh, &params, kernels))));
+        let StructureParams::NTree(NTreeParams { n, .. }) = params else { continue };
+        for patches in [Some(n.min(MAX_MASK_N)), None] {
+            for kernels in Kernels::available() {
+                scenes.push((params, gated(mesh, &params, patches, kernels)));
+            }
         }
     }
     scenes
 }
 
 /// The same in an N-tree with the Line Spaces of all of its nodes.
-fn gated(mesh: &Mesh, params: &StructureParams, kernels: Kernels) -> SceneAccel {
+fn gated(mesh: &Mesh, params: &StructureParams, patches: Option<u32>, kernels: Kernels) -> SceneAccel {
     let (flat, names) = flatten(&[Arc::new(mesh.clone())], &[place(Affine3A::IDENTITY)]).expect("flattens");
     let structure = build_any(&flat, params);
     let tree = structure.cells().expect("a tree of cells");
-    let shafts = CellShafts::build(tree, 0..tree.levels(), BUDGET, &AtomicBool::new(false)).expect("builds");
+    let shafts = cell_shafts(tree, CellShaftParams { levels: tree.levels(), patches });
     let scene = SceneAccel::flat(structure, names).with_cell_shafts(Arc::new(shafts)).expect("of this tree");
     scene.with_kernels(kernels)
+}
+
+fn cell_shafts(tree: &CellTree, params: CellShaftParams) -> CellShafts {
+    CellShafts::build(tree, &params, BUDGET, &AtomicBool::new(false)).expect("builds")
 }
 
 /// Random rays, rays through corners and along edges of cells, and rays that start far away.
@@ -311,27 +318,44 @@ fn rays_pass_empty_nodes_by_and_budgets_are_known_before() {
     let structure = build_any(&flat, &ntree(6, 3, 4));
     let tree = structure.cells().expect("a tree of cells");
     let never = AtomicBool::new(false);
-    let needed = CellShafts::bytes_at_most(tree, &(0..3));
+    let fine = CellShaftParams { levels: 2, patches: Some(6) };
+    let needed = CellShafts::bytes_at_most(tree, &fine);
     // 2,430 bytes in words, and the number of its place.
-    assert_eq!(needed, tree.node_count() as u64 * (2432 + 4));
-    let error = CellShafts::build(tree, 0..3, needed - 1, &never).expect_err("one byte too few");
+    assert_eq!(needed, (tree.node_count() - 1) as u64 * (2432 + 4));
+    let error = CellShafts::build(tree, &fine, needed - 1, &never).expect_err("one byte too few");
     assert!(error.to_string().contains(&needed.to_string()), "{error}");
-    let cancelled = CellShafts::build(tree, 0..3, BUDGET, &AtomicBool::new(true));
+    let cancelled = CellShafts::build(tree, &fine, BUDGET, &AtomicBool::new(true));
     assert!(matches!(cancelled, Err(BuildError::Cancelled)));
+    let too_fine = CellShaftParams { patches: Some(MAX_MASK_N + 1), ..fine };
+    assert!(CellShafts::build(tree, &too_fine, BUDGET, &never).expect_err("too fine").to_string().contains("1 to 12"));
 
-    let shafts = Arc::new(CellShafts::build(tree, 1..3, needed, &never).expect("fits"));
-    assert!(shafts.bytes() as u64 <= needed && shafts.count() > 0 && (0.0..1.0).contains(&shafts.marked_share()));
     let other = build_any(&flat, &ntree(6, 2, 4));
+    let shafts = Arc::new(cell_shafts(tree, fine));
+    assert!(shafts.bytes() as u64 <= needed && shafts.count() > 0 && (0.0..1.0).contains(&shafts.marked_share()));
     assert!(SceneAccel::flat(other, names.clone()).with_cell_shafts(shafts.clone()).is_err(), "another tree");
     let plain = SceneAccel::flat(structure.clone(), names.clone());
-    let gated = SceneAccel::flat(structure, names).with_cell_shafts(shafts).expect("of this tree");
-    let (mut without, mut with) = (Counters::default(), Counters::default());
-    for ray in rays(&flat, 5000, 77) {
-        let expected = plain.closest(&ray, &AcceptAll, &mut without);
-        assert_eq!(gated.closest(&ray, &AcceptAll, &mut with), expected, "{ray:?}");
+    let rays = rays(&flat, 5000, 77);
+    let mut without = Counters::default();
+    let expected: Vec<_> = rays.iter().map(|ray| plain.closest(ray, &AcceptAll, &mut without)).collect();
+    let mut skipped = vec![];
+    for (levels, patches) in [(2, Some(6)), (2, Some(4)), (2, Some(1)), (1, None), (0, None)] {
+        let shafts = cell_shafts(tree, CellShaftParams { levels, patches });
+        let (bytes, count) = (shafts.bytes(), shafts.count());
+        let gated = SceneAccel::flat(structure.clone(), names.clone()).with_cell_shafts(Arc::new(shafts));
+        let gated = gated.expect("of this tree");
+        let mut with = Counters::default();
+        for (ray, expected) in rays.iter().zip(&expected) {
+            assert_eq!(gated.closest(ray, &AcceptAll, &mut with), *expected, "{patches:?}: {ray:?}");
+        }
+        let gates = with.gates;
+        assert!(gates.skipped_nodes <= gates.node_look_ups && (gates.node_look_ups > 0) == (count > 0), "{gates:?}");
+        assert!(with.box_tests <= without.box_tests && with.triangle_tests <= without.triangle_tests);
+        assert!(patches.is_some() || bytes * 8 < needed as usize, "{bytes} bytes by default");
+        skipped.push(gates.skipped_nodes);
     }
-    assert!(with.gates.skipped_nodes * 10 > with.gates.node_look_ups, "{:?}", with.gates);
-    assert!(with.box_tests < without.box_tests && with.triangle_tests <= without.triangle_tests);
+    let [fine, coarser, coarsest, default, none] = skipped[..] else { panic!("five") };
+    assert!(fine > 500 && fine > coarser && coarser > coarsest, "{skipped:?}");
+    assert!(default > 500 && none == 0, "{skipped:?}");
 }
 
 #[test]

@@ -2,12 +2,11 @@
 
 use std::cmp::Reverse;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use lightshaft_api::job::CacheReport;
 use lightshaft_api::settings::{Ask, OnOverBudget};
 use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams};
-use lightshaft_engine::accel::{BuildError, CellShafts, CellTree, SceneAccel, Structure};
+use lightshaft_engine::accel::{SceneAccel, Structure};
 use lightshaft_engine::scene::{Mesh, Scene};
 
 use super::{Executor, Task, TaskError};
@@ -113,55 +112,6 @@ impl Executor {
         }
         Ok(all)
     }
-}
-
-/// Levels of an N-tree's nodes below the root that have Line Spaces when the job does not say: they are few enough to stay in the
-/// CPU's cache, where those of all levels cost more than they spare.
-const DEFAULT_CELL_DEPTH: u32 = 1;
-
-/// Line Spaces of the nodes of a flat scene's N-tree. They follow from its cells in less time than it takes to read them,
-/// so no cache keeps them.
-///
-/// # Errors
-/// When the job refuses to go over its budgets, with the figure.
-pub(super) fn with_cell_shafts(
-    accel: SceneAccel,
-    wanted: &LineSpaces,
-    stop: &AtomicBool,
-    warn: &mut dyn FnMut(String),
-) -> Result<SceneAccel, TaskError> {
-    let Some(tree) = accel.structures().first().and_then(Structure::cells) else { return Ok(accel) };
-    let budget_bytes = wanted.mesh_budget_bytes.min(wanted.job_budget_bytes);
-    let asked = tree.levels().min(wanted.depth.unwrap_or(DEFAULT_CELL_DEPTH) + 1);
-    let of_levels = |levels| CellShafts::bytes_at_most(tree, &(0..levels));
-    let levels = match wanted.on_over_budget {
-        OnOverBudget::Refuse => asked,
-        OnOverBudget::Shrink => (1..=asked).rev().find(|&levels| of_levels(levels) <= budget_bytes).unwrap_or(0),
-        OnOverBudget::Skip if of_levels(asked) <= budget_bytes => asked,
-        OnOverBudget::Skip => 0,
-    };
-    if levels < asked {
-        let needed = of_levels(asked);
-        warn(format!(
-            "{levels} of {asked} levels have line spaces: all may take {needed} bytes, the budget is {budget_bytes}"
-        ));
-    }
-    if levels == 0 {
-        return Ok(accel);
-    }
-    let shafts = cell_shafts(tree, levels, budget_bytes, stop)?;
-    let accel = accel.with_cell_shafts(Arc::new(shafts)).map_err(TaskError::worker)?;
-    Ok(if wanted.ask == Ask::Always { accel } else { accel.asking_where_it_pays() })
-}
-
-fn cell_shafts(tree: &CellTree, levels: u32, budget_bytes: u64, stop: &AtomicBool) -> Result<CellShafts, TaskError> {
-    CellShafts::build(tree, 0..levels, budget_bytes, stop).map_err(|error| match error {
-        BuildError::Cancelled => TaskError::Stopped,
-        BuildError::Unsupported(why) => TaskError::bad_input(format!(
-            "/settings/acceleration/line_space/mesh_budget_bytes: {why}; allow more, fewer levels (depth), or on_over_budget \
-             shrink or skip"
-        )),
-    })
 }
 
 impl Use {

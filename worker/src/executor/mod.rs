@@ -9,6 +9,7 @@
 //! scenes, the packed scene, structures.
 
 mod build;
+mod cell_spaces;
 mod devices;
 mod line_spaces;
 mod metrics;

@@ -17,8 +17,8 @@ use lightshaft_engine::scene::{self, Mesh, Scene};
 use lightshaft_engine::settings::{HdrImage, RenderSettings};
 use rayon::prelude::*;
 
+use super::cell_spaces::with_cells;
 use super::devices::{Choice, OnDevice};
-use super::line_spaces::with_cell_shafts;
 use super::{Executor, IMPORT_STARTS, PREPARE_STARTS, Ready, STRUCTURES_START, Task, TaskError};
 use crate::cache::{Lru, Obtained, Recipe};
 use crate::settings::{self, LineSpaces, Structures, Wanted};
@@ -185,12 +185,12 @@ impl Executor {
             }
             Structures::Flat(params) => {
                 let (flat, accel) = self.obtain_flat(task, scene, params, metrics)?;
-                match &wanted.line_spaces {
-                    None => accel,
-                    Some(LineSpaces { rules: Some(_), .. }) => {
+                match (&wanted.line_spaces, params) {
+                    (None, _) => accel,
+                    (Some(_), StructureParams::Bvh(_)) => {
                         self.with_node_spaces(task, accel, &[&flat], wanted, metrics)?
                     }
-                    Some(wanted) => with_cell_shafts(accel, wanted, task.stop, &mut |w| task.warn(metrics, w))?,
+                    (Some(wanted), _) => with_cells(accel, &flat, wanted, task.stop, &mut |w| task.warn(metrics, w))?,
                 }
             }
         })
@@ -333,6 +333,11 @@ pub(crate) fn count_structures(metrics: &mut Metrics, accel: &SceneAccel) {
         let asked = u64::from(accel.asks_cell_shafts());
         metrics.line_space = Some(LineSpaceUse { meshes: 1, asked, ..LineSpaceUse::default() });
         metrics.line_space_bytes = shafts.bytes() as u64;
+    }
+    if let Some(spaces) = accel.cell_spaces() {
+        let has_any = u64::from(spaces.count() > 0);
+        metrics.line_space = Some(LineSpaceUse { meshes: has_any, asked: has_any, ..LineSpaceUse::default() });
+        metrics.line_space_bytes = spaces.bytes() as u64;
     }
 }
 

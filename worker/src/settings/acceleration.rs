@@ -2,7 +2,8 @@
 
 use lightshaft_api::settings::{self as api, Ask, LineSpaceBuilder, LineSpacePayload, OnOverBudget, Policy};
 use lightshaft_engine::accel::line_space::{
-    BinaryBuilder, CandidateRules, CastPattern, ClassLayout, LineSpaceParams, NodeSpaceParams, Payload,
+    BinaryBuilder, CandidateRules, CastPattern, CellSpaceParams, ClassLayout, LineSpaceParams, MAX_MASK_N,
+    NodeSpaceParams, Payload,
 };
 use lightshaft_engine::accel::{
     AdaptiveRules, Approximation, BouncePolicy, BuildParams, GridParams, GridResolution, NTreeParams, OctreeParams,
@@ -28,7 +29,7 @@ impl Wanted {
         let approximate = acceleration.policy == Policy::ApproximateOcclusion;
         let line_spaces = acceleration.line_space.as_ref().map(|line_space| LineSpaces {
             rules: acceleration.asks_nodes().then(|| approximation(acceleration)),
-            ..LineSpaces::of(line_space, approximate)
+            ..LineSpaces::of(line_space, acceleration, approximate)
         });
         Self { structures: Structures::of(acceleration), line_spaces }
     }
@@ -43,6 +44,8 @@ impl Wanted {
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineSpaces {
     pub params: LineSpaceParams,
+    /// Patches along an edge, if the job says how many.
+    pub n: Option<u32>,
     /// Levels below the root that have them; None for what the structure likes.
     pub depth: Option<u32>,
     pub mesh_budget_bytes: u64,
@@ -56,7 +59,7 @@ pub struct LineSpaces {
 }
 
 impl LineSpaces {
-    fn of(line_space: &api::LineSpace, approximate: bool) -> Self {
+    fn of(line_space: &api::LineSpace, acceleration: &api::Acceleration, approximate: bool) -> Self {
         let payload = match line_space.payload {
             LineSpacePayload::Binary => Payload::Binary {
                 builder: match line_space.builder_or_default() {
@@ -74,8 +77,13 @@ impl LineSpaces {
                 Payload::Coverage { bits: line_space.bits.unwrap_or(8), rays: line_space.rays.unwrap_or(16) }
             }
         };
+        // Masks of an N-tree's nodes are made of their cells.
+        let of_cells = acceleration.structure == api::StructureKind::NTree
+            && payload == Payload::Binary { builder: BinaryBuilder::Masking };
+        let default_n = if of_cells { cells_on_axis(acceleration).min(MAX_MASK_N) } else { line_space.n_or_default() };
         Self {
-            params: LineSpaceParams { n: line_space.n_or_default(), payload },
+            params: LineSpaceParams { n: line_space.n.unwrap_or(default_n), payload },
+            n: line_space.n,
             depth: line_space.depth,
             mesh_budget_bytes: line_space.mesh_budget_bytes.unwrap_or(DEFAULT_MESH_BUDGET_BYTES),
             job_budget_bytes: line_space.job_budget_bytes.unwrap_or(DEFAULT_JOB_BUDGET_BYTES),
@@ -92,6 +100,24 @@ impl LineSpaces {
     pub fn of_nodes(&self) -> NodeSpaceParams {
         NodeSpaceParams { each: self.params, depth: self.depth.unwrap_or(0) }
     }
+
+    /// Those of the nodes of an N-tree with so many levels: the last but one, as in chapter 5 of the thesis, or right below the root, as
+    /// candidates have them in chapter 6, when the job does not say.
+    pub fn of_cells(&self, levels: u32) -> CellSpaceParams {
+        let has_candidates = matches!(self.params.payload, Payload::Candidates { .. });
+        let level = if has_candidates { 1 } else { levels.saturating_sub(1).max(1) };
+        CellSpaceParams { each: self.params, level: self.depth.unwrap_or(level) }
+    }
+
+    /// What the Line Spaces of one structure over the whole scene may take.
+    pub fn budget_of_flat(&self) -> u64 {
+        self.mesh_budget_bytes.min(self.job_budget_bytes)
+    }
+}
+
+/// Cells of an N-tree's nodes on each axis.
+fn cells_on_axis(acceleration: &api::Acceleration) -> u32 {
+    acceleration.n.unwrap_or(6)
 }
 
 fn approximation(acceleration: &api::Acceleration) -> Approximation {
@@ -148,7 +174,7 @@ impl Structures {
                 Self::Flat(StructureParams::Octree(OctreeParams { depth, max_leaf, budget_bytes }))
             }
             api::StructureKind::NTree => {
-                let (n, depth) = (acceleration.n.unwrap_or(6), acceleration.depth.unwrap_or(3));
+                let (n, depth) = (cells_on_axis(acceleration), acceleration.depth.unwrap_or(3));
                 Self::Flat(StructureParams::NTree(NTreeParams { n, depth, max_leaf, budget_bytes }))
             }
         }

@@ -102,6 +102,56 @@ fn indirect_rays_end_on_candidates_bounce_by_bounce() {
 }
 
 #[test]
+fn nodes_of_an_ntree_answer_for_what_is_in_them() {
+    let ntree =
+        |acceleration| Acceleration { structure: StructureKind::NTree, n: Some(6), depth: Some(3), ..acceleration };
+    let without_depth = |mut acceleration: Acceleration| {
+        acceleration.line_space = acceleration.line_space.map(|l| LineSpace { depth: None, n: None, ..l });
+        ntree(acceleration)
+    };
+    let occlusion = |payload, depth| asking(Policy::ApproximateOcclusion, payload, depth);
+    let deepest = without_depth(occlusion(LineSpacePayload::Binary, 1));
+    let upper = ntree(occlusion(LineSpacePayload::Binary, 1));
+    let mut coverage = ntree(occlusion(LineSpacePayload::Coverage, 1));
+    coverage.line_space = coverage.line_space.map(|l| LineSpace { n: Some(4), rays: Some(4), ..l });
+    let all = [("deepest", deepest), ("upper", upper), ("coverage", coverage)];
+    let [deepest, upper, coverage] = distances(Integrator::Ao, &all)[..] else { panic!("three") };
+    assert!(deepest < upper && upper < 0.5 && coverage < upper, "{deepest} {upper} {coverage}");
+    let mut candidates = asking(Policy::Representative, LineSpacePayload::Candidate, 1);
+    candidates.line_space = candidates.line_space.map(|l| LineSpace { depth: None, n: Some(4), ..l });
+    let candidates = Acceleration { structure: StructureKind::NTree, n: Some(4), ..candidates };
+    let [indirect] = distances(Integrator::Path, &[("candidates", candidates)])[..] else { panic!("one") };
+    assert!(indirect < 0.25, "{indirect}");
+}
+
+#[test]
+fn line_spaces_of_an_ntrees_nodes_keep_to_their_budgets() {
+    let (executor, inputs) = (executor(), small_scene("forest"));
+    let with = |on_over_budget| {
+        let mut acceleration = asking(Policy::ApproximateOcclusion, LineSpacePayload::Binary, 2);
+        let of = |l: LineSpace| LineSpace { on_over_budget, mesh_budget_bytes: Some(20_000), ..l };
+        acceleration.line_space = acceleration.line_space.map(of);
+        acceleration = Acceleration { structure: StructureKind::NTree, n: Some(6), ..acceleration };
+        let settings = RenderSettings { acceleration, ..with_line_space(LineSpace::default()) };
+        executor.run(&TaskWork::Frame, &settings, &inputs, &Recorder::default(), &AtomicBool::new(false))
+    };
+    let Err(TaskError::Failed { message, fatal: true, .. }) = with(OnOverBudget::Refuse) else {
+        panic!("over its budget")
+    };
+    assert!(message.contains("/line_space/mesh_budget_bytes: ") && message.contains("n=6,payload=binary"), "{message}");
+    let shrunk = with(OnOverBudget::Shrink).unwrap().metrics;
+    let is_told = |warning: &String| warning.contains("line spaces have n = ") && !warning.contains("n = 6");
+    assert!(shrunk.line_space.unwrap().meshes == 1 && shrunk.warnings.iter().any(is_told), "{:?}", shrunk.warnings);
+    let skipped = with(OnOverBudget::Skip).unwrap().metrics;
+    assert!(skipped.line_space_bytes == 0 && skipped.line_space.is_none(), "{:?}", skipped.line_space);
+    assert!(
+        skipped.warnings.iter().any(|warning| warning.contains("no node has a line space")),
+        "{:?}",
+        skipped.warnings
+    );
+}
+
+#[test]
 fn line_spaces_of_nodes_are_cached_and_keep_to_their_budgets() {
     let (executor, inputs) = (executor(), small_scene("forest"));
     let settings = |on_over_budget, mesh_budget_bytes| {

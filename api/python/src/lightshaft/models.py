@@ -719,7 +719,8 @@ class LineSpace:
     #: `ray_cast`.
     builder: LineSpaceBuilder | None = None
     #: Levels of the structure below its root whose boxes have Line Spaces. Of `two_level`: 0, the mesh's own box, when
-    #: null. Of `ntree`: 1, the nodes right below the root, when null.
+    #: null. Of `ntree`: with policy `exact` those of all levels down to it, 1 when null, the nodes right below the
+    #: root; with others the nodes at that depth, when null the deepest, or of `candidate` 1.
     depth: int | None = None
     #: Of `tri_state`: a tree that is fine only where shafts are undecided, instead of a table. Needs an `n` of 4, 8,
     #: 16 or 32, and is true for those when null.
@@ -730,7 +731,8 @@ class LineSpace:
     mesh_budget_bytes: int | None = None
     #: Patches along the edge of a face. Of `tri_state`: 1 to 32, 16 when null. Of `binary`: 1 to 12 with builder
     #: `mask`, 1 to 32 with the others, 8 when null. Of `candidate`: 1 to 32, 6 when null. Of `coverage`: 1 to 32, 8
-    #: when null.
+    #: when null. With masks in an `ntree`: at most its own `n`, for patches are whole cells wide; when null two cells
+    #: right below the root and four cells below that, and one cell with an approximate policy.
     n: int | None = None
     on_over_budget: OnOverBudget | None = None
     payload: LineSpacePayload | None = None

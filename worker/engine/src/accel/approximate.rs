@@ -10,14 +10,22 @@
 //! Camera rays, instances with filtered hits, and rays that end in a node are always exact; of the node, or the
 //! object, in which a ray starts the policy decides.
 
+mod cells;
+
 use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::line_space::{CandidateRules, Location, NodeSpace, NodeSpaces, Shafts, chance};
+pub(super) use cells::CellsWalk;
+
+use super::line_space::{
+    CandidateRules, CandidateTriangle, CellSpaces, GateCounters, Location, NodeSpace, NodeSpaces, ShaftGrid, Shafts,
+    chance,
+};
 use super::two_level::Scene;
 use super::{HitFilter, MeshStructure, Structure};
-use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink};
+use crate::scene::Aabb;
+use crate::trace::{Counters, Hit, Kernels, LeafVisitor, ObjectRay, Ray, Sink, Way};
 
 /// What the rays of one bounce may take for true.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,8 +81,10 @@ pub struct Purpose {
 /// The Line Spaces of a scene's nodes, and what they are used for.
 #[derive(Debug)]
 pub(super) struct Approximating {
-    /// One, or none, for each structure.
+    /// Of BVHs: one, or none, for each structure.
     pub nodes: Vec<Option<Arc<NodeSpaces>>>,
+    /// Of the N-tree of a flat scene.
+    pub cells: Option<Arc<CellSpaces>>,
     pub rules: Approximation,
 }
 
@@ -163,6 +173,70 @@ impl Question<'_> {
                 Some(Plan { depth, exact_origin: true, shift })
             }
         }
+    }
+}
+
+/// A box with a Line Space that a ray comes to.
+struct AskedBox<'a> {
+    grid: &'a ShaftGrid,
+    shafts: &'a Shafts,
+    bounds: &'a Aabb,
+    /// Sets what is chosen at random apart from other boxes.
+    salt: u32,
+    triangles: &'a [CandidateTriangle],
+    instance: u32,
+}
+
+impl Question<'_> {
+    /// What is taken for true of a box, which the ray's line may pass by.
+    #[inline(always)]
+    fn ask(&self, asked: &AskedBox<'_>, ray: &Ray, plan: &Plan, sink: &mut impl Sink, gates: &mut GateCounters) -> Way {
+        let starts_inside = asked.grid.holds(ray.origin);
+        if starts_inside {
+            gates.starts_inside += 1;
+            if plan.exact_origin {
+                return Way::Down;
+            }
+        }
+        let line = Ray { origin: ray.origin + plan.shift, ..*ray };
+        let chord = match asked.grid.locate(&line) {
+            Location::Beside => {
+                gates.beside += 1;
+                return Way::Past;
+            }
+            Location::TooFar => {
+                gates.too_far += 1;
+                return Way::Down;
+            }
+            Location::Through(chord) => chord,
+        };
+        if self.policy == BouncePolicy::Representative {
+            let rules = &self.asked.rules.candidates;
+            gates.node_look_ups += 1;
+            gates.approximated += 1;
+            let Shafts::Candidates(candidates) = asked.shafts else { return Way::Down };
+            let Some(candidate) = candidates.candidate(chord.entry, chord.exit) else { return Way::Past };
+            let triangle = &asked.triangles[candidate as usize];
+            let Some([t, u, v]) = triangle.hit(ray, asked.bounds, rules) else { return Way::Past };
+            let hit = Hit { t, u, v, instance: asked.instance, primitive: triangle.primitive };
+            return if t <= sink.t_limit() && sink.offer(hit) { Way::Stop } else { Way::Past };
+        }
+        if starts_inside {
+            return Way::Past;
+        }
+        if !(chord.starts_outside && chord.reaches_exit) {
+            return Way::Down;
+        }
+        gates.node_look_ups += 1;
+        gates.approximated += 1;
+        let is_blocked = match asked.shafts {
+            Shafts::Binary(binary) => binary.is_marked(chord.entry, chord.exit),
+            Shafts::Candidates(candidates) => candidates.candidate(chord.entry, chord.exit).is_some(),
+            Shafts::Coverage(coverage) => coverage.blocked(chord.entry, chord.exit) > chance(ray, asked.salt),
+            Shafts::Table(_) | Shafts::Tree(_) => return Way::Down,
+        };
+        gates.skipped_nodes += u64::from(!is_blocked);
+        if is_blocked { Way::Stop } else { Way::Past }
     }
 }
 
@@ -318,53 +392,20 @@ impl<S: Sink> NodeVisitor<'_, S> {
     #[inline(always)]
     fn visit_node(&mut self, space: &NodeSpace) -> bool {
         let Some((grid, shafts)) = &space.content else { return self.exactly(space) };
-        let starts_inside = grid.holds(self.ray.origin);
-        if starts_inside {
-            self.counters.gates.starts_inside += 1;
-            if self.plan.exact_origin {
-                return self.exactly(space);
-            }
-        }
-        let line = Ray { origin: self.ray.origin + self.plan.shift, ..*self.ray };
-        let chord = match grid.locate(&line) {
-            Location::Beside => {
-                self.counters.gates.beside += 1;
-                return false;
-            }
-            Location::TooFar => {
-                self.counters.gates.too_far += 1;
-                return self.exactly(space);
-            }
-            Location::Through(chord) => chord,
+        let ObjectWalk { spaces, question, number, .. } = *self.walk;
+        let asked = AskedBox {
+            grid,
+            shafts,
+            bounds: &space.bounds,
+            salt: space.node,
+            triangles: spaces.triangles(),
+            instance: number,
         };
-        let gates = &mut self.counters.gates;
-        if self.walk.question.policy == BouncePolicy::Representative {
-            let rules = &self.walk.question.asked.rules.candidates;
-            gates.node_look_ups += 1;
-            gates.approximated += 1;
-            let Shafts::Candidates(candidates) = shafts else { return self.exactly(space) };
-            let Some(candidate) = candidates.candidate(chord.entry, chord.exit) else { return false };
-            let triangle = self.walk.spaces.triangle(candidate);
-            let Some([t, u, v]) = triangle.hit(self.ray, &space.bounds, rules) else { return false };
-            let hit = Hit { t, u, v, instance: self.walk.number, primitive: triangle.primitive };
-            return t <= self.sink.t_limit() && self.sink.offer(hit);
+        match question.ask(&asked, self.ray, self.plan, self.sink, &mut self.counters.gates) {
+            Way::Down => self.exactly(space),
+            Way::Past => false,
+            Way::Stop => true,
         }
-        if starts_inside {
-            return false;
-        }
-        if !(chord.starts_outside && chord.reaches_exit) {
-            return self.exactly(space);
-        }
-        gates.node_look_ups += 1;
-        gates.approximated += 1;
-        let is_blocked = match shafts {
-            Shafts::Binary(binary) => binary.is_marked(chord.entry, chord.exit),
-            Shafts::Candidates(candidates) => candidates.candidate(chord.entry, chord.exit).is_some(),
-            Shafts::Coverage(coverage) => coverage.blocked(chord.entry, chord.exit) > chance(self.ray, space.node),
-            Shafts::Table(_) | Shafts::Tree(_) => return self.exactly(space),
-        };
-        self.counters.gates.skipped_nodes += u64::from(!is_blocked);
-        is_blocked
     }
 
     fn exactly(&mut self, space: &NodeSpace) -> bool {

@@ -21,6 +21,7 @@ pub struct Names {
     /// Instances that have geometry, ascending.
     instances: Vec<InstanceRange>,
     triangle_count: u32,
+    any_filtered: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,7 +77,8 @@ pub fn flatten(meshes: &[impl AsRef<Mesh>], placements: &[Placement]) -> Result<
     flat.positions.reserve_exact(vertices);
     flat.triangles.reserve_exact(triangles);
     flat.spheres.reserve_exact(spheres);
-    let mut names = Names { instances: Vec::new(), triangle_count: triangles as u32 };
+    let any_filtered = visible().any(|(_, placement)| placement.filtered);
+    let mut names = Names { instances: Vec::new(), triangle_count: triangles as u32, any_filtered };
     for (instance, placement) in visible() {
         let mesh: &Mesh = meshes[placement.mesh as usize].as_ref();
         names.instances.push(InstanceRange {
@@ -125,7 +127,7 @@ impl Names {
 
     /// Whether hits on some instance go through the filter.
     pub(crate) fn any_filtered(&self) -> bool {
-        self.instances.iter().any(|range| range.filtered)
+        self.any_filtered
     }
 
     /// Instance and primitive of a primitive of the flat mesh, and whether its hits go through the filter.

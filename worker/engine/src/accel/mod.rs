@@ -30,7 +30,7 @@ use std::sync::atomic::AtomicBool;
 
 pub use approximate::{AdaptiveRules, Approximation, BouncePolicy, Purpose};
 pub use bvh2::{Bvh2, Bvh2Node, MAX_DEPTH};
-pub use cells::{CellNode, CellShafts, CellTree, MAX_DIM};
+pub use cells::{CellNode, CellShaftParams, CellShafts, CellTree, MAX_DIM};
 pub use flat::{Names, flat_hash, flatten};
 pub use grid::{GridParams, GridResolution};
 pub use ntree::NTreeParams;

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use glam::Affine3A;
 use rayon::prelude::*;
 
-use super::approximate::{Approximating, Approximation, ObjectWalk, Purpose, Question};
+use super::approximate::{Approximating, Approximation, CellsWalk, ObjectWalk, Purpose, Question};
 use super::compressed::CompressedBvh;
 use super::flat::{NamedSink, Names};
-use super::line_space::{Gates, LineSpace, NodeSpaces, SurfaceShafts, pays, pays_in_cells};
+use super::line_space::{CellSpaces, Gates, LineSpace, NodeSpaces, SurfaceShafts, pays, pays_in_cells};
 use super::two_level::TwoLevel;
 use super::{Bvh2, CellShafts, Structure};
 use crate::scene::MeshHash;
@@ -178,7 +178,26 @@ impl SceneAccel {
     /// When there are more or fewer than structures, or one is for another mesh.
     pub fn approximating(self, nodes: Vec<Option<Arc<NodeSpaces>>>, rules: Approximation) -> Result<Self, String> {
         self.check_gates("line spaces", nodes.iter().map(|nodes| nodes.as_ref().map(|nodes| nodes.mesh())))?;
-        Ok(Self { approximating: Some(Approximating { nodes, rules }), ..self })
+        Ok(Self { approximating: Some(Approximating { nodes, cells: None, rules }), ..self })
+    }
+
+    /// The same flat scene, in which [`Self::nearest`] and [`Self::blocked`] take for true what the Line Spaces of the nodes of its
+    /// N-tree say. A scene in which hits are filtered is traced exactly.
+    ///
+    /// # Errors
+    /// When the scene is no single tree of cells, or `cells` are those of another one.
+    pub fn approximating_in_cells(self, cells: Arc<CellSpaces>, rules: Approximation) -> Result<Self, String> {
+        match self.structures.first().and_then(Structure::cells) {
+            Some(tree) if self.is_flat() && cells.fit(tree) => {
+                Ok(Self { approximating: Some(Approximating { nodes: vec![], cells: Some(cells), rules }), ..self })
+            }
+            _ => Err(format!("line spaces of the nodes of a tree over {}, but the scene has another", cells.mesh())),
+        }
+    }
+
+    /// The Line Spaces of an N-tree's nodes that the scene takes for true.
+    pub fn cell_spaces(&self) -> Option<&Arc<CellSpaces>> {
+        self.approximating.as_ref()?.cells.as_ref()
     }
 
     /// The Line Spaces of nodes that the scene was given.
@@ -258,12 +277,20 @@ impl SceneAccel {
             }
             Form::Flat { names, .. } => {
                 let mut sink = NamedSink { names, filter, ray, sink };
-                let (spaces, structure) = (question.asked.spaces(0), &self.structures[0]);
-                if let (Some(spaces), Some(bvh), false) = (spaces, structure.bvh(), names.any_filtered()) {
-                    let walk = ObjectWalk { spaces, bvh, kernels: self.kernels, question, number: 0 };
-                    if let Some(stopped) = walk.ask(ray, &mut sink, counters) {
-                        return stopped;
+                let structure = &self.structures[0];
+                let asked = if names.any_filtered() { None } else { Some(question.asked) };
+                let stopped = match (structure, asked.and_then(|a| a.spaces(0)), asked.and_then(|a| a.cells.as_ref())) {
+                    (Structure::Bvh(bvh), Some(spaces), _) => {
+                        let walk = ObjectWalk { spaces, bvh, kernels: self.kernels, question, number: 0 };
+                        walk.ask(ray, &mut sink, counters)
                     }
+                    (Structure::Cells(tree), _, Some(spaces)) => {
+                        CellsWalk::walk(spaces, tree, self.kernels, question, ray, &mut sink, counters)
+                    }
+                    _ => None,
+                };
+                if let Some(stopped) = stopped {
+                    return stopped;
                 }
                 let Some(object_ray) = ObjectRay::new(ray, &structure.bounds()) else { return false };
                 structure.walk(self.kernels, &object_ray, 0, &mut sink, counters)

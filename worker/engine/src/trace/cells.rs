@@ -10,13 +10,12 @@
 use std::mem::MaybeUninit;
 
 use super::Counters;
-use super::kernel::Sink;
+use super::kernel::{NodeSink, Sink, Way};
 use super::object_ray::ObjectRay;
 use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Portable};
-use crate::accel::cells::{CellShafts, CellTree, LEAF, MAX_LEVELS, ROUNDING};
+use crate::accel::cells::{CellShafts, CellTree, LEAF, MAX_LEVELS, NodeMarks, ROUNDING};
 use crate::accel::line_space::Patch;
-use crate::accel::line_space::shaft::symmetric_index;
 use crate::accel::wide::LANES;
 
 /// Packets that a walk remembers as tested: large primitives stand in many cells one after the other.
@@ -27,6 +26,34 @@ const REMEMBERED: usize = 8;
 pub(super) fn walk_cells<I: Isa, S: Sink>(
     tree: &CellTree,
     shafts: Option<&CellShafts>,
+    ray: &ObjectRay,
+    instance: u32,
+    sink: &mut S,
+    counters: &mut Counters,
+) -> bool {
+    match shafts {
+        None => walk_guided::<I, S, Unguided>(tree, &Unguided, ray, instance, sink, counters),
+        Some(shafts) => walk_guided::<I, S, _>(tree, &PastEmpty { shafts }, ray, instance, sink, counters),
+    }
+}
+
+/// The same; the sink decides what is done with the nodes of a level. A ray from far away is not asked about any.
+#[inline(always)]
+pub(super) fn walk_cells_to_nodes<I: Isa, S: NodeSink>(
+    tree: &CellTree,
+    level: usize,
+    ray: &ObjectRay,
+    instance: u32,
+    sink: &mut S,
+    counters: &mut Counters,
+) -> bool {
+    walk_guided::<I, S, _>(tree, &ToLevel { level }, ray, instance, sink, counters)
+}
+
+#[inline(always)]
+fn walk_guided<I: Isa, S: Sink, G: Guide<S>>(
+    tree: &CellTree,
+    guide: &G,
     ray: &ObjectRay,
     instance: u32,
     sink: &mut S,
@@ -48,12 +75,85 @@ pub(super) fn walk_cells<I: Isa, S: Sink>(
         return false;
     }
     let mut tester = Tester::<I, S>::new(tree, ray, instance, sink);
-    let stopped = match shafts {
-        None => step_through::<I, S, false>(tree, None, &lattice, start, &mut tester),
-        Some(_) => step_through::<I, S, true>(tree, shafts, &lattice, start, &mut tester),
-    };
+    let stopped = step_through(tree, guide, &lattice, start, &mut tester);
     tester.count(counters);
     stopped
+}
+
+/// Says what is done with nodes below the root before a walk goes down into them.
+trait Guide<S> {
+    /// Whether it is to be asked at all.
+    const IS_ASKED: bool;
+
+    fn at(&self, arrival: &Arrival<'_>, sink: &mut S, look_ups: &mut LookUps) -> Way;
+}
+
+/// A node that a walk comes to.
+struct Arrival<'a> {
+    tree: &'a CellTree,
+    lattice: &'a LatticeRay<'a>,
+    level: usize,
+    node: u32,
+    /// Where the walk would begin in it.
+    place: &'a Place,
+    /// Across which axis the ray came into it; none where it starts in it.
+    entered: Option<usize>,
+    /// `t` at which the ray leaves it on each axis.
+    far: [f32; 3],
+}
+
+/// What guides did.
+#[derive(Default)]
+struct LookUps {
+    asked: u64,
+    skipped: u64,
+}
+
+struct Unguided;
+
+impl<S> Guide<S> for Unguided {
+    const IS_ASKED: bool = false;
+
+    #[inline(always)]
+    fn at(&self, _: &Arrival<'_>, _: &mut S, _: &mut LookUps) -> Way {
+        Way::Down
+    }
+}
+
+/// Past nodes in which nothing is on the line of the ray.
+struct PastEmpty<'a> {
+    shafts: &'a CellShafts,
+}
+
+impl<S> Guide<S> for PastEmpty<'_> {
+    const IS_ASKED: bool = true;
+
+    #[inline(always)]
+    fn at(&self, arrival: &Arrival<'_>, _: &mut S, look_ups: &mut LookUps) -> Way {
+        // The node in which a ray starts is asked nothing: it holds what the ray starts on.
+        let Some(axis) = arrival.entered else { return Way::Down };
+        let Some(marks) = self.shafts.of_node(arrival.level, arrival.node) else { return Way::Down };
+        look_ups.asked += 1;
+        if is_empty(marks, arrival, axis) {
+            look_ups.skipped += 1;
+            return Way::Past;
+        }
+        Way::Down
+    }
+}
+
+/// To the nodes of one level, of which the sink decides.
+struct ToLevel {
+    level: usize,
+}
+
+impl<S: NodeSink> Guide<S> for ToLevel {
+    const IS_ASKED: bool = true;
+
+    #[inline(always)]
+    fn at(&self, arrival: &Arrival<'_>, sink: &mut S, _: &mut LookUps) -> Way {
+        if arrival.level == self.level { sink.node(arrival.node) } else { Way::Down }
+    }
 }
 
 /// The ray in coordinates from the root's lowest corner.
@@ -124,9 +224,9 @@ struct Place {
 }
 
 #[inline(always)]
-fn step_through<I: Isa, S: Sink, const GATED: bool>(
+fn step_through<I: Isa, S: Sink, G: Guide<S>>(
     tree: &CellTree,
-    shafts: Option<&CellShafts>,
+    guide: &G,
     lattice: &LatticeRay<'_>,
     start: f32,
     tester: &mut Tester<'_, I, S>,
@@ -160,21 +260,23 @@ fn step_through<I: Isa, S: Sink, const GATED: bool>(
         if let Some(child) = tree.child(place.first_word, index) {
             if child & LEAF == 0 {
                 let below = enter(level + 1, child, place.cell.map(|at| at * n), t);
-                // The node in which a ray starts is asked nothing: it holds what the ray starts on.
-                let is_empty = GATED
-                    && entered.is_some_and(|axis| {
-                        shafts.and_then(|shafts| shafts.of_node(child)).is_some_and(|marks| {
-                            tester.look_ups += 1;
-                            is_empty(marks, tree, lattice, level, [&place, &below], axis)
-                        })
-                    });
-                if !is_empty {
-                    above[level].write(place);
-                    level += 1;
-                    place = below;
-                    continue;
+                let way = if G::IS_ASKED {
+                    let (level, far) = (level + 1, place.t_next);
+                    let arrival = Arrival { tree, lattice, level, node: child, place: &below, entered, far };
+                    guide.at(&arrival, tester.sink, &mut tester.look_ups)
+                } else {
+                    Way::Down
+                };
+                match way {
+                    Way::Down => {
+                        above[level].write(place);
+                        level += 1;
+                        place = below;
+                        continue;
+                    }
+                    Way::Past => {}
+                    Way::Stop => return true,
                 }
-                tester.skipped += 1;
             } else if tester.test_list((child & !LEAF) as usize) {
                 return true;
             }
@@ -211,19 +313,11 @@ fn step_through<I: Isa, S: Sink, const GATED: bool>(
     }
 }
 
-/// Whether the line of the ray meets nothing in the node that is the cell of `place`, a node of `level`, which the ray enters
-/// across `axis` at the cell of `below`.
+/// Whether the line of the ray meets nothing in the node, which it enters across `axis`.
 #[inline(always)]
-fn is_empty(
-    marks: &[u32],
-    tree: &CellTree,
-    lattice: &LatticeRay<'_>,
-    level: usize,
-    [place, below]: [&Place; 2],
-    axis: usize,
-) -> bool {
+fn is_empty(marks: NodeMarks<'_>, arrival: &Arrival<'_>, axis: usize) -> bool {
+    let Arrival { tree, lattice, level, place, far, .. } = *arrival;
     let n = tree.n();
-    let far = place.t_next;
     let mut leave = usize::from(far[1] < far[0]);
     leave = if far[2] < far[leave] { 2 } else { leave };
     let t = far[leave];
@@ -232,19 +326,15 @@ fn is_empty(
         u: at(usize::from(axis == 0)),
         v: at(2 - usize::from(axis == 2)),
     };
-    let entry = patch(axis, lattice.direction[axis] <= 0.0, &|k| below.cell[k] - below.low[k]);
+    let entry = patch(axis, lattice.direction[axis] <= 0.0, &|k| place.cell[k] - place.low[k]);
     let exit = patch(leave, lattice.direction[leave] > 0.0, &|k| {
-        let at = (lattice.origin[k] + t * lattice.direction[k]) * tree.inverse_cell(level + 1, k);
+        let at = (lattice.origin[k] + t * lattice.direction[k]) * tree.inverse_cell(level, k);
         // The cast saturates.
-        (at as u32).clamp(below.low[k], below.low[k] + n - 1) - below.low[k]
+        (at as u32).clamp(place.low[k], place.low[k] + n - 1) - place.low[k]
     });
     // False where `t` is not a number.
     let is_crossed = t.abs() < f32::MAX && entry.face != exit.face;
-    if !is_crossed {
-        return false;
-    }
-    let index = symmetric_index(n, entry, exit) as usize;
-    marks[index / 32] >> (index % 32) & 1 == 0
+    is_crossed && marks.is_empty(entry, exit)
 }
 
 /// The careful walk: within a node it goes slab by slab along the axis on which the ray crosses most cells, and looks at
@@ -342,8 +432,7 @@ struct Tester<'a, I: Isa, S> {
     next: usize,
     cells: u64,
     packets: u64,
-    look_ups: u64,
-    skipped: u64,
+    look_ups: LookUps,
 }
 
 impl<'a, I: Isa, S: Sink> Tester<'a, I, S> {
@@ -359,16 +448,15 @@ impl<'a, I: Isa, S: Sink> Tester<'a, I, S> {
             next: 0,
             cells: 0,
             packets: 0,
-            look_ups: 0,
-            skipped: 0,
+            look_ups: LookUps::default(),
         }
     }
 
     fn count(&self, counters: &mut Counters) {
         counters.box_tests += self.cells;
         counters.triangle_tests += self.packets * LANES as u64;
-        counters.gates.node_look_ups += self.look_ups;
-        counters.gates.skipped_nodes += self.skipped;
+        counters.gates.node_look_ups += self.look_ups.asked;
+        counters.gates.skipped_nodes += self.look_ups.skipped;
     }
 
     #[inline(always)]

@@ -7,7 +7,7 @@
 use std::mem::MaybeUninit;
 use std::ops::Range;
 
-use super::cells::walk_cells;
+use super::cells::{walk_cells, walk_cells_to_nodes};
 use super::object_ray::{BoxRay, ObjectRay};
 use super::packet::{PacketRay, test_packet};
 use super::simd::{Isa, Lanes, Portable};
@@ -22,6 +22,22 @@ pub(crate) trait Sink {
     fn t_limit(&self) -> f32;
     /// A hit in the ray's interval. True: stop the walk.
     fn offer(&mut self, hit: Hit) -> bool;
+}
+
+/// What is done with a node that a walk comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// What is in it is looked at.
+    Down,
+    /// Nothing is.
+    Past,
+    /// The walk ends.
+    Stop,
+}
+
+/// A sink that decides what is done with nodes, by their numbers.
+pub(crate) trait NodeSink: Sink {
+    fn node(&mut self, number: u32) -> Way;
 }
 
 /// What to do at a leaf. True: stop the walk.
@@ -227,7 +243,9 @@ macro_rules! kernels {
 
         #[cfg(target_arch = "x86_64")]
         mod x86 {
-            use super::{CellShafts, CellTree, ChildRef, Counters, LeafVisitor, Node, ObjectRay, Sink, WideBvh};
+            use super::{
+                CellShafts, CellTree, ChildRef, Counters, LeafVisitor, Node, NodeSink, ObjectRay, Sink, WideBvh,
+            };
             use crate::trace::simd::Avx2;
 
             $(
@@ -256,6 +274,15 @@ kernels! {
     walk_cells<S: Sink>(
         tree: &CellTree,
         shafts: Option<&CellShafts>,
+        ray: &ObjectRay,
+        instance: u32,
+        sink: &mut S,
+        counters: &mut Counters,
+    );
+    /// The same; the sink decides what is done with the nodes of one level.
+    walk_cells_to_nodes<S: NodeSink>(
+        tree: &CellTree,
+        level: usize,
         ray: &ObjectRay,
         instance: u32,
         sink: &mut S,

@@ -11,7 +11,7 @@ use glam::Vec3;
 use crate::accel::line_space::GateCounters;
 
 pub use kernel::Kernels;
-pub(crate) use kernel::{LeafVisitor, Sink};
+pub(crate) use kernel::{LeafVisitor, NodeSink, Sink, Way};
 pub(crate) use object_ray::ObjectRay;
 
 /// A ray segment `origin + t * direction`, `t_min < t < t_max`. The direction need not be a unit vector. A negative

@@ -23,7 +23,9 @@ use std::sync::atomic::AtomicBool;
 
 use glam::Vec3;
 
-pub use shafts::CellShafts;
+pub(crate) use shafts::NodeMarks;
+pub use shafts::{CellShaftParams, CellShafts};
+pub(in crate::accel) use shafts::{GROWTH, marked};
 
 use super::overlap::{CellRange, Lattice};
 use super::wide::Packet;
@@ -234,6 +236,14 @@ impl CellTree {
     /// Levels of nodes that there are; leaves may lie at all of them.
     pub fn levels(&self) -> u32 {
         self.level_starts.len() as u32 - 1
+    }
+
+    /// Numbers of the nodes of a level; none of one that there is not.
+    pub(crate) fn nodes_at(&self, level: u32) -> std::ops::Range<u32> {
+        match self.level_starts.get(level as usize..=level as usize + 1) {
+            Some(&[first, end]) => first..end,
+            _ => 0..0,
+        }
     }
 
     /// Cells that are not empty, at all levels.

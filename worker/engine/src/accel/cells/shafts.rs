@@ -1,9 +1,12 @@
 //! Line Spaces of an N-tree's nodes: which lines through a node meet no cell that holds anything (Keul 2020, chapter 4).
 //!
-//! A node with N^3 cells has N x N patches on each face and a bit for each of its 15 N^4 shafts; the bits of a node are the
-//! union of the atlas' masks over its occupied cells (section 4.2.3). A ray that comes to a node knows where its line
-//! enters and leaves it, so it finds its shaft with one look-up, and passes the node by when the shaft is empty. That holds
-//! for any part of the line, so also for rays that start or end in the node; no answer changes.
+//! The faces of a node with N^3 cells are cut into patches that are one or several cells wide, and each shaft between two of
+//! them has a bit; the bits of a node are the union of an atlas' masks over its occupied cells (section 4.2.3). A ray that comes
+//! to a node knows where its line enters and leaves it, so it finds its shaft with one look-up, and passes the node by when the
+//! shaft is empty. That holds for any part of the line, so also for rays that end in the node; no answer changes.
+//!
+//! The thesis' patches are one cell wide. Wider ones know less and take a small part of the memory: what a look-up spares are
+//! steps through empty cells, so it must not miss the CPU's cache.
 //!
 //! Shafts are grown by [`GROWTH`] of the node's edge before anything is claimed of them, which is more than a walk from cell to
 //! cell may be off; levels whose nodes are too small for that have none.
@@ -16,105 +19,129 @@ use rayon::prelude::*;
 use super::CellTree;
 use crate::accel::BuildError;
 use crate::accel::build::check;
-use crate::accel::line_space::shaft::symmetric_count;
-use crate::accel::line_space::{MAX_MASK_N, MaskAtlas};
+use crate::accel::line_space::shaft::{symmetric_count, symmetric_index};
+use crate::accel::line_space::{AtlasParams, MAX_MASK_N, MaskAtlas, Patch};
 use crate::scene::MeshHash;
 
 /// By how much shafts grow, as a part of the node's edge.
-const GROWTH: f64 = 1.0 / 256.0;
+pub(in crate::accel) const GROWTH: f64 = 1.0 / 256.0;
 /// What a walk may be off is at most [`CellTree::growth`]; shafts grow by so many times that.
 const MARGIN: f64 = 2.0;
 /// A node has no Line Space when more of its shafts than this are marked: most rays would ask in vain.
 const MOST_MARKED: f64 = 0.9;
+/// Cells of a node on an axis, at most.
+const MAX_CELLS: usize = 16;
 
 /// Of a node without a Line Space.
 const NONE: u32 = u32::MAX;
+
+/// Which nodes of an N-tree have Line Spaces, and how fine they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CellShaftParams {
+    /// Levels of nodes below the root, from the one right below it down. The root has none: nearly all of its shafts hold something.
+    pub levels: u32,
+    /// Most patches along the edge of a face, 1 to [`MAX_MASK_N`]; each is a whole number of cells wide. None: two cells wide right
+    /// below the root, four cells below that.
+    pub patches: Option<u32>,
+}
+
+impl CellShaftParams {
+    /// Cells that a patch is wide, in nodes of a level with `n` cells on each axis.
+    fn width(&self, level: u32, n: u32) -> u32 {
+        match self.patches {
+            Some(patches) => n.div_ceil(patches.clamp(1, n)),
+            None if level <= 1 => 2,
+            None => 4,
+        }
+    }
+}
 
 /// The Line Spaces of a tree's nodes. Immutable; share it in an [`std::sync::Arc`].
 #[derive(Debug)]
 pub struct CellShafts {
     mesh: MeshHash,
+    /// Cells of a node on each axis.
     n: u32,
-    levels: Range<u32>,
+    /// From the one right below the root down.
+    levels: Vec<LevelShafts>,
+}
+
+/// Those of the nodes of one level.
+#[derive(Debug)]
+struct LevelShafts {
     first_node: u32,
+    /// Patches along the edge of a face.
+    patches: u32,
+    /// Of each cell along an edge.
+    patch_of: [u8; MAX_CELLS],
     words_per_node: usize,
-    /// For each node of the levels that have Line Spaces: the number of its own, or [`NONE`].
+    /// For each node: the number of its own, or [`NONE`].
     places: Vec<u32>,
     bits: Vec<u32>,
-    marked_share: f64,
+}
+
+/// What is known of the lines through one node.
+#[derive(Clone, Copy)]
+pub(crate) struct NodeMarks<'a> {
+    level: &'a LevelShafts,
+    words: &'a [u32],
 }
 
 impl CellShafts {
-    /// Levels of nodes of `tree` that can have Line Spaces, of those that are asked for.
-    fn usable(tree: &CellTree, levels: &Range<u32>) -> Range<u32> {
-        let is_wide = |level: u32| {
-            let edge = tree.layout.cell_at(level).as_dvec3().min_element() * f64::from(tree.layout.n);
+    /// Levels of nodes of `tree` that have Line Spaces, when `levels` are asked for.
+    fn usable(tree: &CellTree, levels: u32) -> Range<u32> {
+        let is_wide = |level: &u32| {
+            let edge = tree.layout.cell_at(*level).as_dvec3().min_element() * f64::from(tree.layout.n);
             edge * GROWTH > MARGIN * f64::from(tree.layout.growth)
         };
-        let last = levels.end.min(tree.levels());
-        let end =
-            (levels.start..last).take_while(|&level| is_wide(level)).last().map_or(levels.start, |level| level + 1);
-        levels.start.min(end)..end
+        let below_root = 1..levels.saturating_add(1).min(tree.levels());
+        1..1 + below_root.take_while(is_wide).count() as u32
     }
 
-    /// Bytes that the Line Spaces of the nodes at some levels take at most, known before anything is allocated.
-    pub fn bytes_at_most(tree: &CellTree, levels: &Range<u32>) -> u64 {
-        let levels = Self::usable(tree, levels);
-        let nodes = u64::from(tree.level_starts[levels.end as usize] - tree.level_starts[levels.start as usize]);
-        nodes * (4 + 4 * symmetric_count(tree.layout.n).div_ceil(32))
+    /// Bytes that the Line Spaces of a tree's nodes take at most, known before anything is allocated.
+    pub fn bytes_at_most(tree: &CellTree, params: &CellShaftParams) -> u64 {
+        let of_level = |level: u32| {
+            let patches = tree.layout.n.div_ceil(params.width(level, tree.layout.n));
+            u64::from(tree.nodes_at(level).len() as u32) * (4 + 4 * symmetric_count(patches).div_ceil(32))
+        };
+        Self::usable(tree, params.levels).map(of_level).sum()
     }
 
-    /// Builds those of all nodes at `levels` (0 is the root), with rayon's current pool; looks at `cancel` at every node.
+    /// Builds with rayon's current pool; looks at `cancel` at every node.
     ///
     /// # Errors
-    /// [`BuildError::Unsupported`] for a tree whose root is not divided as its other nodes are, for an N beyond
-    /// [`MAX_MASK_N`], and, with the figure, when it may take more than `budget_bytes`.
+    /// [`BuildError::Unsupported`] for a tree whose root is not divided as its other nodes are, for more than [`MAX_MASK_N`]
+    /// patches along an edge, and, with the figure, when it may take more than `budget_bytes`.
     pub fn build(
         tree: &CellTree,
-        levels: Range<u32>,
+        params: &CellShaftParams,
         budget_bytes: u64,
         cancel: &AtomicBool,
     ) -> Result<Self, BuildError> {
         let n = tree.layout.n;
-        if tree.layout.dims != [n; 3] || n > MAX_MASK_N {
+        if tree.layout.dims != [n; 3] || n as usize > MAX_CELLS {
             return Err(BuildError::Unsupported(format!(
-                "line spaces of nodes need an N-tree with n = 2 to {MAX_MASK_N}; this has {:?} cells in its root, {n} in others",
+                "line spaces of nodes need an N-tree with n = 2 to {MAX_CELLS}; this has {:?} cells in its root, {n} in others",
                 tree.layout.dims
             )));
         }
-        let needed = Self::bytes_at_most(tree, &levels);
-        if needed > budget_bytes {
+        if params.patches.is_some_and(|patches| !(1..=MAX_MASK_N).contains(&patches)) {
             return Err(BuildError::Unsupported(format!(
-                "the line spaces of an N-tree's nodes (n={n}, levels {} to {}) may take {needed} bytes; the budget is {budget_bytes}",
-                levels.start, levels.end
+                "line spaces of an N-tree's nodes with {:?} patches along an edge: 1 to {MAX_MASK_N}",
+                params.patches
             )));
         }
-        let levels = Self::usable(tree, &levels);
-        let atlas = MaskAtlas::get(n, GROWTH, cancel)?;
-        let words_per_node = symmetric_count(n).div_ceil(32) as usize;
-        let first_node = tree.level_starts[levels.start as usize];
-        let count = tree.level_starts[levels.end as usize] - first_node;
-        let most = (MOST_MARKED * symmetric_count(n) as f64) as u64;
-        let spaces = (first_node..first_node + count)
-            .into_par_iter()
-            .map(|node| {
-                check(cancel)?;
-                let bits = marked(tree, &atlas, node, words_per_node);
-                let marked: u64 = bits.iter().map(|word| u64::from(word.count_ones())).sum();
-                Ok((marked <= most).then_some((marked, bits)))
-            })
-            .collect::<Result<Vec<_>, BuildError>>()?;
-        let kept: Vec<&(u64, Vec<u32>)> = spaces.iter().flatten().collect();
-        let shafts = kept.len() as f64 * symmetric_count(n) as f64;
-        let marked_share = kept.iter().map(|(marked, _)| *marked as f64).sum::<f64>() / shafts.max(1.0);
-        let mut next = 0;
-        let mut place = |is_kept: bool| {
-            next += u32::from(is_kept);
-            if is_kept { next - 1 } else { NONE }
-        };
-        let places = spaces.iter().map(|space| place(space.is_some())).collect();
-        let bits = kept.par_iter().flat_map_iter(|(_, bits)| bits.iter().copied()).collect();
-        Ok(Self { mesh: tree.mesh, n, levels, first_node, words_per_node, places, bits, marked_share })
+        let needed = Self::bytes_at_most(tree, params);
+        if needed > budget_bytes {
+            return Err(BuildError::Unsupported(format!(
+                "the line spaces of the nodes of {} levels of an N-tree (n={n}) may take {needed} bytes; the budget is \
+                 {budget_bytes}",
+                params.levels
+            )));
+        }
+        let level = |level| LevelShafts::build(tree, level, params.width(level, n), cancel);
+        let levels = Self::usable(tree, params.levels).map(level).collect::<Result<_, BuildError>>()?;
+        Ok(Self { mesh: tree.mesh, n, levels })
     }
 
     /// The mesh whose tree it was built for.
@@ -124,51 +151,91 @@ impl CellShafts {
 
     /// Whether these are of the nodes of `tree`.
     pub(crate) fn fit(&self, tree: &CellTree) -> bool {
-        let has_levels = (self.levels.end as usize) < tree.level_starts.len();
-        has_levels
-            && (self.mesh, self.n) == (tree.mesh, tree.layout.n)
-            && tree.level_starts[self.levels.start as usize] == self.first_node
-            && (tree.level_starts[self.levels.end as usize] - self.first_node) as usize == self.places.len()
-    }
-
-    /// Cells of a node on each axis, and patches along the edge of its faces.
-    pub fn n(&self) -> u32 {
-        self.n
-    }
-
-    /// Levels whose nodes may have one.
-    pub fn levels(&self) -> Range<u32> {
-        self.levels.clone()
+        let is_of = |(level, shafts): (u32, &LevelShafts)| {
+            let nodes = tree.nodes_at(level);
+            nodes.start == shafts.first_node && nodes.len() == shafts.places.len()
+        };
+        (self.mesh, self.n) == (tree.mesh, tree.layout.n) && (1..).zip(&self.levels).all(is_of)
     }
 
     /// Nodes that have one.
     pub fn count(&self) -> usize {
-        self.bits.len() / self.words_per_node
+        self.levels.iter().map(LevelShafts::count).sum()
     }
 
     /// The part of all shafts that may hold something.
     pub fn marked_share(&self) -> f64 {
-        self.marked_share
+        let marked = |level: &LevelShafts| level.bits.iter().map(|word| f64::from(word.count_ones())).sum::<f64>();
+        let shafts = |level: &LevelShafts| level.count() as f64 * symmetric_count(level.patches) as f64;
+        self.levels.iter().map(marked).sum::<f64>() / self.levels.iter().map(shafts).sum::<f64>().max(1.0)
     }
 
     /// Memory, in bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.places.as_slice()) + size_of_val(self.bits.as_slice())
+        let level = |level: &LevelShafts| size_of_val(level.places.as_slice()) + size_of_val(level.bits.as_slice());
+        self.levels.iter().map(level).sum()
     }
 
-    /// The words of a node's bits; none for a node without a Line Space.
+    /// What is known of a node; none for a node without a Line Space.
     #[inline(always)]
-    pub(crate) fn of_node(&self, node: u32) -> Option<&[u32]> {
-        let place = *self.places.get(node.wrapping_sub(self.first_node) as usize)?;
-        let first = place as usize * self.words_per_node;
-        self.bits.get(first..first + self.words_per_node)
+    pub(crate) fn of_node(&self, level: usize, node: u32) -> Option<NodeMarks<'_>> {
+        let level = self.levels.get(level.wrapping_sub(1))?;
+        let place = *level.places.get(node.wrapping_sub(level.first_node) as usize)?;
+        let first = place as usize * level.words_per_node;
+        level.bits.get(first..first + level.words_per_node).map(|words| NodeMarks { level, words })
+    }
+}
+
+impl LevelShafts {
+    fn build(tree: &CellTree, level: u32, width: u32, cancel: &AtomicBool) -> Result<Self, BuildError> {
+        let atlas = AtlasParams { cells: tree.layout.n, width, growth: GROWTH };
+        let patches = atlas.patches();
+        let atlas = MaskAtlas::get(&atlas, cancel)?;
+        let nodes = tree.nodes_at(level);
+        let first_node = nodes.start;
+        let most = (MOST_MARKED * symmetric_count(patches) as f64) as u64;
+        let words_per_node = symmetric_count(patches).div_ceil(32) as usize;
+        let spaces = nodes
+            .into_par_iter()
+            .map(|node| {
+                check(cancel)?;
+                let bits = marked(tree, &atlas, node, level, words_per_node);
+                let marked: u64 = bits.iter().map(|word| u64::from(word.count_ones())).sum();
+                Ok((marked <= most).then_some(bits))
+            })
+            .collect::<Result<Vec<_>, BuildError>>()?;
+        let mut next = 0;
+        let mut place = |space: &Option<Vec<u32>>| {
+            next += u32::from(space.is_some());
+            if space.is_some() { next - 1 } else { NONE }
+        };
+        let places = spaces.iter().map(&mut place).collect();
+        let bits = spaces.into_iter().flatten().flatten().collect();
+        let patch_of = std::array::from_fn(|cell| (cell as u32 / width) as u8);
+        Ok(Self { first_node, patches, patch_of, words_per_node, places, bits })
+    }
+
+    fn count(&self) -> usize {
+        self.bits.len() / self.words_per_node
+    }
+}
+
+impl NodeMarks<'_> {
+    /// Whether nothing is on the lines between two faces of cells; these are named as patches one cell wide.
+    #[inline(always)]
+    pub(crate) fn is_empty(&self, entry: Patch, exit: Patch) -> bool {
+        let of_cells = |Patch { face, u, v }: Patch| {
+            let at = |cell: u32| u32::from(self.level.patch_of[cell as usize % MAX_CELLS]);
+            Patch { face, u: at(u), v: at(v) }
+        };
+        let index = symmetric_index(self.level.patches, of_cells(entry), of_cells(exit)) as usize;
+        self.words[index / 32] >> (index % 32) & 1 == 0
     }
 }
 
 /// The marks of a node: the union over its occupied cells.
-fn marked(tree: &CellTree, atlas: &MaskAtlas, node: u32, words: usize) -> Vec<u32> {
+pub(in crate::accel) fn marked(tree: &CellTree, atlas: &MaskAtlas, node: u32, level: u32, words: usize) -> Vec<u32> {
     let mut bits = vec![0_u32; words];
-    let level = tree.level_starts.partition_point(|&start| start <= node) as u32 - 1;
     let first = tree.layout.first_word(node);
     let occupied = &tree.words[first..first + tree.layout.node_words(level)];
     for (word, &[cells, _]) in occupied.iter().enumerate() {

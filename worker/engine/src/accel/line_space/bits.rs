@@ -69,6 +69,11 @@ pub struct BinaryShafts {
 }
 
 impl BinaryShafts {
+    /// From a bit for each shaft, in words.
+    pub(super) fn from_words(n: u32, words: Vec<u32>) -> Result<Self, String> {
+        Ok(Self { n, bits: BitSet::from_words(super::shaft::symmetric_count(n), words)? })
+    }
+
     /// Bytes for `n`: 15 N^4 bits in words.
     pub fn bytes_needed(n: u32) -> u64 {
         super::shaft::symmetric_count(n).div_ceil(32) * 4

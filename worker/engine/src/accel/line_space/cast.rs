@@ -7,12 +7,11 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::bits::{BinaryShafts, BitSet, Coverage, NO_CANDIDATE, SparseCandidates};
-use super::nodes::Below;
 use super::shaft::{directed_count, directed_patches, symmetric_count, symmetric_patches};
 use super::{CastPattern, Patch, ShaftGrid};
 use crate::accel::BuildError;
 use crate::accel::build::check;
-use crate::trace::{Counters, Hit, Kernels, ObjectRay, Ray, Sink};
+use crate::trace::{Hit, Ray, Sink};
 
 /// Shafts that one task looks at before it asks for a cancellation.
 const CHUNK: usize = 1024;
@@ -23,13 +22,18 @@ const OFFSETS: [[f64; 2]; 9] = {
     [[0.0, 0.0], [-T, -T], [0.0, -T], [T, -T], [-T, 0.0], [T, 0.0], [-T, T], [0.0, T], [T, T]]
 };
 
-struct Caster<'a> {
-    below: &'a Below<'a>,
-    grid: &'a ShaftGrid,
-    kernels: Kernels,
+/// What lines are cast through.
+pub(super) trait Target: Sync {
+    /// Offers the sink what is hit.
+    fn trace(&self, ray: &Ray, sink: &mut impl Sink);
 }
 
-impl Caster<'_> {
+struct Caster<'a, T> {
+    target: &'a T,
+    grid: &'a ShaftGrid,
+}
+
+impl<T: Target> Caster<'_, T> {
     /// The first primitive on the line between two points, given in patches from the patches' lower corners.
     fn cast(&self, start: Patch, end: Patch, from: [f64; 2], to: [f64; 2]) -> Option<u32> {
         let point = |patch: Patch, [u, v]: [f64; 2]| {
@@ -40,10 +44,8 @@ impl Caster<'_> {
         };
         let (from, to) = (point(start, from), point(end, to));
         let ray = Ray { origin: from.as_vec3(), t_min: 0.0, direction: (to - from).as_vec3(), t_max: 1.0 };
-        let Below { structure, roots, .. } = self.below;
-        let ray = ObjectRay::new(&ray, &structure.bvh2().bounds())?;
         let mut sink = Nearest { t: 1.0, primitive: None };
-        self.kernels.walk_mesh_from(structure.wide(), roots, &ray, 0, &mut sink, &mut Counters::default());
+        self.target.trace(&ray, &mut sink);
         sink.primitive
     }
 
@@ -94,12 +96,12 @@ fn for_shafts<T: Send>(count: u64, cancel: &AtomicBool, value: impl Fn(u32) -> T
 
 /// Marks the symmetric shafts of which a line of the pattern is blocked.
 pub(super) fn marks(
-    below: &Below<'_>,
+    target: &impl Target,
     grid: &ShaftGrid,
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
-    let caster = Caster { below, grid, kernels: Kernels::detect() };
+    let caster = Caster { target, grid };
     let n = grid.n();
     let blocked = for_shafts(symmetric_count(n), cancel, |index| {
         let (a, b) = symmetric_patches(n, index);
@@ -112,12 +114,12 @@ pub(super) fn marks(
 
 /// The candidate of each directed shaft, dense: [`NO_CANDIDATE`] where no line of the pattern hits.
 pub(super) fn dense_candidates(
-    below: &Below<'_>,
+    target: &impl Target,
     grid: &ShaftGrid,
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<Vec<u32>, BuildError> {
-    let caster = Caster { below, grid, kernels: Kernels::detect() };
+    let caster = Caster { target, grid };
     let n = grid.n();
     for_shafts(directed_count(n), cancel, |index| {
         let (start, end) = directed_patches(n, index);
@@ -126,23 +128,23 @@ pub(super) fn dense_candidates(
 }
 
 pub(super) fn candidates(
-    below: &Below<'_>,
+    target: &impl Target,
     grid: &ShaftGrid,
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<SparseCandidates, BuildError> {
-    Ok(SparseCandidates::from_dense(grid.n(), &dense_candidates(below, grid, pattern, cancel)?))
+    Ok(SparseCandidates::from_dense(grid.n(), &dense_candidates(target, grid, pattern, cancel)?))
 }
 
 /// The blocked part of `rays` lines of each symmetric shaft, which are spread evenly over both patches.
 pub(super) fn coverage(
-    below: &Below<'_>,
+    target: &impl Target,
     grid: &ShaftGrid,
     bits: u32,
     rays: u32,
     cancel: &AtomicBool,
 ) -> Result<Coverage, BuildError> {
-    let caster = Caster { below, grid, kernels: Kernels::detect() };
+    let caster = Caster { target, grid };
     let n = grid.n();
     let parts = for_shafts(symmetric_count(n), cancel, |index| {
         let (a, b) = symmetric_patches(n, index);

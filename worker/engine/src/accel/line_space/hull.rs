@@ -29,7 +29,12 @@ impl Hull {
     /// Algorithm 2 of the thesis orders the corners so that the mantle is two parallelograms, over the edges along the
     /// axis that both patches share, and four triangles.
     pub(super) fn new(n: u32, a: Patch, b: Patch, growth: f64) -> Self {
-        let (corners_a, corners_b) = ordered_corners(n, a, b);
+        Self::over_cells(n, 1, a, b, growth)
+    }
+
+    /// The same of patches that are `width` of the `n` cells along an edge wide; the last ones may be narrower.
+    pub(super) fn over_cells(n: u32, width: u32, a: Patch, b: Patch, growth: f64) -> Self {
+        let (corners_a, corners_b) = ordered_corners(n, width, a, b);
         let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (corners_a, corners_b);
         let faces = [
             [a0, a1, a2],
@@ -118,10 +123,12 @@ impl Hull {
 }
 
 /// The corners a0..a3 and b0..b3 of the thesis' algorithm 2: index bit 0 adds the shared direction, bit 1 the other one.
-fn ordered_corners(n: u32, a: Patch, b: Patch) -> ([DVec3; 4], [DVec3; 4]) {
+fn ordered_corners(n: u32, width: u32, a: Patch, b: Patch) -> ([DVec3; 4], [DVec3; 4]) {
     let shared = a.tangents().into_iter().find(|axis| b.tangents().contains(axis)).unwrap_or(0);
+    let cell = |face: u32, at: [u32; 2]| Patch { face, u: at[0].min(n - 1), v: at[1].min(n - 1) }.unit_bounds(n);
     let spans = |patch: Patch| {
-        let [low, high] = patch.unit_bounds(n);
+        let first = [patch.u * width, patch.v * width];
+        let ([low, _], [_, high]) = (cell(patch.face, first), cell(patch.face, first.map(|at| at + width - 1)));
         let [u, v] = patch.tangents();
         let other = if u == shared { v } else { u };
         let along = |axis: usize| DVec3::AXES[axis] * (high - low)[axis];

@@ -26,10 +26,28 @@ use crate::scene::Mesh;
 /// The finest N that has an atlas: its masks take 67 MB. It grows with N^7.
 pub const MAX_MASK_N: u32 = 12;
 
-/// For each cell of a box, x running fastest, the shafts that it meets.
+/// For each cell of a box, x running fastest, the shafts that it meets. Patches are one cell wide, or several.
 pub(in crate::accel) struct MaskAtlas {
     words_per_cell: usize,
     masks: Vec<u32>,
+}
+
+/// What an atlas is made for.
+#[derive(Clone, Copy)]
+pub(in crate::accel) struct AtlasParams {
+    /// Cells along an edge, at most 16.
+    pub cells: u32,
+    /// Cells that a patch is wide; the last one may be narrower. There are at most [`MAX_MASK_N`] patches along an edge.
+    pub width: u32,
+    /// By how much of the box's edges shafts are grown.
+    pub growth: f64,
+}
+
+impl AtlasParams {
+    /// Patches along an edge.
+    pub(in crate::accel) fn patches(&self) -> u32 {
+        self.cells.div_ceil(self.width)
+    }
 }
 
 impl MaskAtlas {
@@ -38,25 +56,26 @@ impl MaskAtlas {
         u64::from(n).pow(3) * symmetric_count(n).div_ceil(32) * 4
     }
 
-    /// The atlas for `n` and shafts that are grown by `growth` of the box's edges, made once in a process and kept.
-    pub(in crate::accel) fn get(n: u32, growth: f64, cancel: &AtomicBool) -> Result<Arc<Self>, BuildError> {
-        /// By N and the bits of the growth.
-        type Atlases = BTreeMap<(u32, u64), Arc<MaskAtlas>>;
+    /// Made once in a process, and kept.
+    pub(in crate::accel) fn get(params: &AtlasParams, cancel: &AtomicBool) -> Result<Arc<Self>, BuildError> {
+        /// By cells, width and the bits of the growth.
+        type Atlases = BTreeMap<(u32, u32, u64), Arc<MaskAtlas>>;
         static ATLASES: OnceLock<Mutex<Atlases>> = OnceLock::new();
         let atlases = ATLASES.get_or_init(Mutex::default);
-        let key = (n, growth.to_bits());
+        let key = (params.cells, params.width, params.growth.to_bits());
         let known = atlases.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
         if let Some(atlas) = known {
             return Ok(atlas);
         }
         // Not under the lock: a second builder may do it twice, but can be cancelled.
-        let atlas = Arc::new(Self::build(n, growth, cancel)?);
+        let atlas = Arc::new(Self::build(params, cancel)?);
         atlases.lock().unwrap_or_else(PoisonError::into_inner).insert(key, atlas.clone());
         Ok(atlas)
     }
 
-    fn build(n: u32, growth: f64, cancel: &AtomicBool) -> Result<Self, BuildError> {
-        let words_per_cell = symmetric_count(n).div_ceil(32) as usize;
+    fn build(params: &AtlasParams, cancel: &AtomicBool) -> Result<Self, BuildError> {
+        let (n, patches) = (params.cells, params.patches());
+        let words_per_cell = symmetric_count(patches).div_ceil(32) as usize;
         let cells = n.pow(3) as usize;
         // Written by word of shafts, so that no two threads write one word.
         let columns: Vec<Vec<u32>> = (0..words_per_cell as u32)
@@ -64,10 +83,10 @@ impl MaskAtlas {
             .map(|word| {
                 check(cancel)?;
                 let mut column = vec![0_u32; cells];
-                let shafts = 32 * word..(32 * word + 32).min(symmetric_count(n) as u32);
+                let shafts = 32 * word..(32 * word + 32).min(symmetric_count(patches) as u32);
                 for index in shafts {
-                    let (a, b) = symmetric_patches(n, index);
-                    let hull = Hull::new(n, a, b, growth);
+                    let (a, b) = symmetric_patches(patches, index);
+                    let hull = Hull::over_cells(n, params.width, a, b, params.growth);
                     for_each_cell(n, &hull, |cell| column[cell] |= 1 << (index % 32));
                 }
                 Ok(column)
@@ -110,7 +129,7 @@ pub(super) fn by_masking(
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
     let n = grid.n();
-    let atlas = MaskAtlas::get(n, DILATION, cancel)?;
+    let atlas = MaskAtlas::get(&AtlasParams { cells: n, width: 1, growth: DILATION }, cancel)?;
     let lattice = lattice(&below.bounds(), grid, n);
     let filled: Vec<AtomicU64> = (0..n.pow(3).div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
     below.primitives.par_chunks(4096).try_for_each(|primitives| {

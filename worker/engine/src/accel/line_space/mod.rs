@@ -9,12 +9,14 @@
 //!   [`SceneAccel`](super::SceneAccel) faster without changing an answer.
 //! - [`Payload::Coverage`]: which part of its lines is blocked.
 //!
-//! [`NodeSpaces`] are the same on the nodes of a mesh's BVH, and [`SurfaceShafts`] do the same for rays that start on the mesh. Both belong to a mesh and are cached as structures are.
+//! [`NodeSpaces`] are the same on the nodes of a mesh's BVH, [`CellSpaces`] on those of an N-tree, and [`SurfaceShafts`] do the same for rays that
+//! start on the mesh. What belongs to a mesh is cached as structures are.
 
 mod bits;
 mod blocks;
 mod candidates;
 mod cast;
+mod cell_spaces;
 mod classes;
 mod gate;
 mod hull;
@@ -35,11 +37,13 @@ use std::sync::atomic::AtomicBool;
 
 pub use bits::{BinaryShafts, BitSet, Coverage, SparseCandidates};
 pub use candidates::CandidateRules;
+pub(crate) use candidates::CandidateTriangle;
+pub use cell_spaces::{CellSpaceParams, CellSpaces};
 pub use classes::{Class, ClassTable, ClassTree};
 pub use gate::GateCounters;
 pub(crate) use gate::{Gates, Verdict, chance};
 pub use mask::MAX_MASK_N;
-pub(super) use mask::MaskAtlas;
+pub(super) use mask::{AtlasParams, MaskAtlas};
 pub(crate) use nodes::NodeSpace;
 pub use nodes::{MAX_NODE_DEPTH, MIN_NODE_PRIMITIVES, NodeSpaceParams, NodeSpaces};
 pub use params::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};

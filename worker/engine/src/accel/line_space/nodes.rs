@@ -18,6 +18,7 @@ use crate::accel::build::{build_over_boxes, check};
 use crate::accel::wide::{ChildRef, WideTop, over_instances};
 use crate::accel::{BuildError, BuildParams, Bvh2, CorruptStructure, MeshStructure, StructureKey};
 use crate::scene::{Aabb, Mesh, MeshHash};
+use crate::trace::{Counters, Kernels, ObjectRay, Ray, Sink};
 
 /// Deepest cut that can be asked for.
 pub const MAX_NODE_DEPTH: u32 = 12;
@@ -199,16 +200,8 @@ impl NodeSpaces {
 
     /// Puts what a candidate's plane needs side by side, and renumbers candidates to it.
     fn gather_triangles(&mut self, mesh: &Mesh) {
-        let mut used: Vec<u32> =
-            self.candidates().flat_map(|candidates| candidates.primitives().iter().copied()).collect();
-        used.sort_unstable();
-        used.dedup();
-        for (_, shafts) in self.spaces.iter_mut().filter_map(|space| space.content.as_mut()) {
-            if let Shafts::Candidates(candidates) = shafts {
-                candidates.renumber(|primitive| used.partition_point(|&other| other < primitive) as u32);
-            }
-        }
-        self.triangles = used.iter().map(|&primitive| CandidateTriangle::new(mesh, primitive)).collect();
+        let shafts = self.spaces.iter_mut().filter_map(|space| space.content.as_mut());
+        self.triangles = gather_triangles(mesh, shafts.map(|(_, shafts)| shafts).collect());
     }
 
     fn candidates(&self) -> impl Iterator<Item = &SparseCandidates> {
@@ -277,8 +270,9 @@ impl NodeSpaces {
         space.roots(&self.roots)
     }
 
-    pub(crate) fn triangle(&self, candidate: u32) -> &CandidateTriangle {
-        &self.triangles[candidate as usize]
+    /// What candidates are numbers of.
+    pub(crate) fn triangles(&self) -> &[CandidateTriangle] {
+        &self.triangles
     }
 
     /// The stored form: as that of a Line Space, first the nodes' numbers, then the arrays of each.
@@ -375,6 +369,32 @@ impl<'a> Below<'a> {
     pub(super) fn bounds(&self) -> Aabb {
         self.structure.bvh2().nodes.get(self.node).map_or(Aabb::EMPTY, |node| node.bounds())
     }
+}
+
+impl cast::Target for Below<'_> {
+    fn trace(&self, ray: &Ray, sink: &mut impl Sink) {
+        let Some(ray) = ObjectRay::new(ray, &self.structure.bvh2().bounds()) else { return };
+        let counters = &mut Counters::default();
+        Kernels::detect().walk_mesh_from(self.structure.wide(), self.roots, &ray, 0, sink, counters);
+    }
+}
+
+/// The triangles of all candidates, side by side; the candidates become numbers of these.
+pub(super) fn gather_triangles(mesh: &Mesh, mut all: Vec<&mut Shafts>) -> Vec<CandidateTriangle> {
+    let mut used: Vec<u32> = Vec::new();
+    for shafts in &all {
+        if let Shafts::Candidates(candidates) = shafts {
+            used.extend_from_slice(candidates.primitives());
+        }
+    }
+    used.sort_unstable();
+    used.dedup();
+    for shafts in &mut all {
+        if let Shafts::Candidates(candidates) = shafts {
+            candidates.renumber(|primitive| used.partition_point(|&other| other < primitive) as u32);
+        }
+    }
+    used.iter().map(|&primitive| CandidateTriangle::new(mesh, primitive)).collect()
 }
 
 /// The shafts of a node, but for classes.

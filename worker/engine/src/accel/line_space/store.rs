@@ -15,7 +15,7 @@
 
 use super::bits::{BinaryShafts, BitSet, Coverage, SparseCandidates};
 use super::classes::{ClassTable, ClassTree};
-use super::shaft::{directed_count, symmetric_count};
+use super::shaft::directed_count;
 use super::{ClassLayout, LINE_SPACE_VERSION, LineSpace, LineSpaceParams, Payload, ShaftGrid, Shafts};
 use crate::accel::MeshStructure;
 use crate::scene::{Mesh, MeshHash};
@@ -65,7 +65,7 @@ pub(super) fn shafts(
     Ok(match params.payload {
         Payload::Binary { .. } => {
             let [words] = exactly(arrays)?;
-            Shafts::Binary(BinaryShafts { n, bits: BitSet::from_words(symmetric_count(n), words)? })
+            Shafts::Binary(BinaryShafts::from_words(n, words)?)
         }
         Payload::Candidates { .. } => {
             let [filled, primitives] = exactly(arrays)?;
