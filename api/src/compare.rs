@@ -19,6 +19,11 @@ pub struct CompareRequest {
     pub max_rmse: Option<f64>,
     /// Not passed when the mean FLIP error is above this.
     pub max_flip: Option<f64>,
+    /// Whether HDR-FLIP is wanted too, and drawn by the heat map: of linear colour only (OpenEXR, Radiance). It takes several
+    /// exposures, and so many times as long as FLIP.
+    pub hdr: bool,
+    /// Not passed when the mean HDR-FLIP error is above this; as if `hdr` were set.
+    pub max_hdr_flip: Option<f64>,
 }
 
 /// A picture: the artifact of a job, a blob, or (neither) the uploaded part of this name.
@@ -41,7 +46,8 @@ pub struct Compared {
     pub b: ComparedPicture,
     #[serde(flatten)]
     pub report: CompareReport,
-    /// Address of the FLIP error of every pixel as a picture (magma: 0 is black, 1 pale yellow).
+    /// Address of the FLIP error (HDR-FLIP where that was wanted) of every pixel as a picture (magma: 0 is black, 1 pale
+    /// yellow).
     pub heat_map: String,
     /// Address of the absolute difference as a picture.
     pub difference: String,
@@ -85,12 +91,29 @@ pub struct CompareReport {
     pub flip_mean: f64,
     /// The error that 99 % of the pixels do not exceed.
     pub flip_p99: f64,
+    /// Null where it was not wanted.
+    pub hdr_flip: Option<HdrFlipFigures>,
     pub max_rmse: Option<f64>,
     pub max_flip: Option<f64>,
+    pub max_hdr_flip: Option<f64>,
     /// Whether every limit is kept. A figure that is not a number keeps none.
     pub passed: bool,
     /// The limits that are not kept, in words.
     pub over_limits: Vec<String>,
+}
+
+/// HDR-FLIP: each pixel's largest error at any of several exposures, through the tone mapper of ACES.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct HdrFlipFigures {
+    pub mean: f64,
+    /// The error that 99 % of the pixels do not exceed.
+    pub p99: f64,
+    /// Stops at which the brightest pixel of `a` is just not blown out.
+    pub start_exposure: f64,
+    /// Stops at which half of the pixels of `a` are.
+    pub stop_exposure: f64,
+    /// How many were tried, evenly from start to stop.
+    pub exposures: u32,
 }
 
 /// What an OpenEXR, PNG, JPEG or Radiance file holds.

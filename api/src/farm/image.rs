@@ -87,6 +87,8 @@ pub struct ImageFigures {
     pub flip_mean: f64,
     /// The FLIP error that 99 % of the pixels do not exceed.
     pub flip_p99: f64,
+    /// Mean HDR-FLIP error; null where the case has no limit on it.
+    pub hdr_flip_mean: Option<f64>,
     /// Of any channel.
     pub max_difference: f64,
     /// Column and row of the pixel with the largest difference; null when nothing differs.

@@ -12,7 +12,7 @@ use super::text::{check_name, check_text};
 use super::tolerance::{ImageTolerance, TimeTolerance};
 use crate::problem::{FieldError, escape_pointer};
 use crate::read::from_value;
-use crate::settings::{CameraChoice, DeviceChoice, RenderSettings};
+use crate::settings::{CameraChoice, DeviceChoice, Output, RenderSettings};
 
 const MOST_CASES: usize = 1000;
 const MOST_REPEATS: u32 = 50;
@@ -199,6 +199,11 @@ impl NewSuite {
         time.validate(&format!("{pointer}/time"), errors);
         let settings = self.settings_of(case, pointer, errors);
         let settings = settings.filter(|_| errors.len() == before)?;
+        let has_hdr_limit = image.limits().is_some_and(|limits| limits.max_hdr_flip.is_some());
+        if has_hdr_limit && !settings.outputs.contains(&Output::Exr) {
+            let detail = "needs `exr` among the outputs: HDR-FLIP is for linear colour";
+            errors.push(FieldError::new(format!("{pointer}/image/max_hdr_flip"), detail));
+        }
         let (name, scene) = (case.name.clone(), case.scene.clone());
         Some(SuiteTestCase { name, scene, settings, device_class, repeat, image, time })
     }

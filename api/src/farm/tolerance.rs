@@ -33,6 +33,8 @@ pub struct ImageLimits {
     pub max_rmse: Option<f64>,
     /// Mean FLIP error, 0 to 1.
     pub max_flip: Option<f64>,
+    /// Mean HDR-FLIP error, 0 to 1: what is seen at the exposure that shows it best. Of cases whose outputs have `exr`.
+    pub max_hdr_flip: Option<f64>,
     /// Share of the pixels that differ at all, 0 to 1.
     pub max_differing: Option<f64>,
     /// For sampled effects: repetitions are rendered with other seeds, and their mean is tested pixel by pixel.
@@ -126,7 +128,8 @@ impl ImageTolerance {
         let Some(limits) = self.limits() else { return };
         let none = ImageLimits::default();
         if *limits == none {
-            let detail = "must be \"identical\", or name a limit: max_rmse, max_flip, max_differing or z_test";
+            let detail =
+                "must be \"identical\", or name a limit: max_rmse, max_flip, max_hdr_flip, max_differing or z_test";
             errors.push(FieldError::new(prefix, detail));
         }
         let mut check = |value: Option<f64>, field: &str, most: f64, detail: &str| {
@@ -136,6 +139,7 @@ impl ImageTolerance {
         };
         check(limits.max_rmse, "max_rmse", 1e6, "must be 0 to 1000000");
         check(limits.max_flip, "max_flip", 1.0, "must be 0 to 1");
+        check(limits.max_hdr_flip, "max_hdr_flip", 1.0, "must be 0 to 1");
         check(limits.max_differing, "max_differing", 1.0, "must be a share of the pixels, 0 to 1");
         if let Some(test) = &limits.z_test {
             check(Some(test.max_failing), "z_test/max_failing", 0.1, "must be 0 to 0.1");
@@ -184,7 +188,9 @@ impl<'de> Deserialize<'de> for ImageTolerance {
             type Value = ImageTolerance;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("\"identical\", or an object with max_rmse, max_flip, max_differing or z_test")
+                f.write_str(
+                    "\"identical\", or an object with max_rmse, max_flip, max_hdr_flip, max_differing or z_test",
+                )
             }
 
             fn visit_str<E: Error>(self, value: &str) -> Result<ImageTolerance, E> {

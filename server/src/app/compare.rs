@@ -1,7 +1,7 @@
 //! How far two pictures are apart.
 //!
-//! A comparison follows from the hashes of two blobs, the names of their layers and two numbers, and so do the addresses of
-//! its pictures: nothing is stored. The last ones are kept in memory, so that asking for the figures and then for the
+//! A comparison follows from the hashes of two blobs, the names of their layers and some options, and so do the addresses
+//! of its pictures: nothing is stored. The last ones are kept in memory, so that asking for the figures and then for the
 //! heat map is one piece of work.
 
 use std::collections::VecDeque;
@@ -13,7 +13,7 @@ use futures::TryStreamExt;
 use lightshaft_api::blob::is_hash;
 use lightshaft_api::compare::{CompareRequest, Compared, ComparedPicture, PictureChoice};
 use lightshaft_api::problem::FieldError;
-use lightshaft_compare::{Options, Report};
+use lightshaft_compare::Options;
 use lightshaft_engine::film::COLOR;
 
 use super::pictures::escape;
@@ -21,11 +21,12 @@ use super::{App, multipart};
 use crate::blob::Staged;
 use crate::error::{ApiError, ApiResult};
 use crate::picture::PictureError;
-use crate::picture::compare::{self as comparing, Bounds, Pixels};
+use crate::picture::compare::{self as comparing, Bounds, Figures, Pixels};
 use crate::web::body::parse;
 
 /// Comparisons that are kept.
 const KEPT: usize = 16;
+const HEAT_MAP: &str = "heat-map.png";
 /// What a job's picture is called, best first.
 const PICTURES: [&str; 2] = ["image.exr", "image.png"];
 
@@ -36,6 +37,8 @@ pub struct ComparisonKey {
     pub b: ComparedPicture,
     pub exposure: f32,
     pub tolerance: f32,
+    /// Whether by HDR-FLIP too.
+    pub hdr: bool,
 }
 
 /// Uploaded pictures, staged: the parts `a` and `b`.
@@ -50,9 +53,7 @@ pub struct UploadedPictures {
 pub(super) struct Comparisons(Mutex<VecDeque<(ComparisonKey, Arc<Finding>)>>);
 
 struct Finding {
-    width: u32,
-    height: u32,
-    figures: Report,
+    figures: Figures,
     /// PNG.
     heat_map: Bytes,
 }
@@ -86,6 +87,8 @@ impl Asked {
     fn problem(self, side: Side, error: &PictureError) -> ApiError {
         let side = side.name();
         let pointer = match (self, error) {
+            (Self::Body, PictureError::NotLinear(_)) => "/hdr".to_owned(),
+            (Self::Address, PictureError::NotLinear(_)) => "query/hdr".to_owned(),
             (Self::Body, PictureError::NoLayer(_)) => format!("/{side}/layer"),
             (Self::Body, PictureError::Unreadable(_)) => format!("/{side}"),
             (Self::Address, PictureError::NoLayer(_)) => format!("query/{side}_layer"),
@@ -113,7 +116,8 @@ impl ComparisonKey {
     fn href(&self, name: &str) -> String {
         let (a, b) = (escape(&self.a.layer), escape(&self.b.layer));
         let exposure = if self.exposure == 0.0 { String::new() } else { format!("&exposure={}", self.exposure) };
-        format!("/v1/compare/{}/{}/{name}?a_layer={a}&b_layer={b}{exposure}", self.a.hash, self.b.hash)
+        let hdr = if self.hdr && name == HEAT_MAP { "&hdr=true" } else { "" };
+        format!("/v1/compare/{}/{}/{name}?a_layer={a}&b_layer={b}{exposure}{hdr}", self.a.hash, self.b.hash)
     }
 
     /// The page that shows both.
@@ -164,12 +168,13 @@ impl App {
         let (true, Ok([a, b])) = (errors.is_empty(), <[ComparedPicture; 2]>::try_from(pictures)) else {
             return Err(ApiError::fields(errors));
         };
-        let key = ComparisonKey { a, b, exposure: wanted.exposure, tolerance: wanted.tolerance };
+        let hdr = wanted.hdr || wanted.max_hdr_flip.is_some();
+        let key = ComparisonKey { a, b, exposure: wanted.exposure, tolerance: wanted.tolerance, hdr };
         let found = self.find_or_compare(&key, Asked::Body).await?;
-        let bounds = Bounds { max_rmse: wanted.max_rmse, max_flip: wanted.max_flip };
+        let bounds = Bounds { max_rmse: wanted.max_rmse, max_flip: wanted.max_flip, max_hdr_flip: wanted.max_hdr_flip };
         Ok(Compared {
-            report: comparing::report(found.width, found.height, &found.figures, bounds),
-            heat_map: key.href("heat-map.png"),
+            report: comparing::report(&found.figures, bounds),
+            heat_map: key.href(HEAT_MAP),
             difference: key.href("difference.png"),
             page: key.page(),
             a: key.a,
@@ -177,7 +182,7 @@ impl App {
         })
     }
 
-    /// The FLIP error of every pixel as a PNG.
+    /// The FLIP or HDR-FLIP error of every pixel as a PNG.
     pub async fn heat_map(&self, key: &ComparisonKey) -> ApiResult<Bytes> {
         Ok(self.find_or_compare(key, Asked::Address).await?.heat_map.clone())
     }
@@ -235,12 +240,11 @@ impl App {
         if let Some(known) = self.comparisons.find(key) {
             return Ok(known);
         }
-        let options = key.options();
+        let (options, hdr) = (key.options(), key.hdr);
         let finding = self.with_pair(key, asked, move |a, b| {
-            let failed = |error: lightshaft_compare::Error| PictureError::Unreadable(error.to_string());
-            let outcome = comparing::layers(a, b, &options).map_err(failed)?;
-            let heat_map = comparing::heat_map_png(&outcome.flip)?.into();
-            Ok(Finding { width: a.width, height: a.height, figures: outcome.figures, heat_map })
+            let outcome = comparing::layers(a, b, &options, hdr)?;
+            let heat_map = comparing::heat_map_png(&outcome.error_map)?.into();
+            Ok(Finding { figures: outcome.figures, heat_map })
         });
         let finding = Arc::new(finding.await?);
         self.comparisons.keep(key.clone(), Arc::clone(&finding));
@@ -283,6 +287,7 @@ fn wrong_figures(wanted: &CompareRequest) -> Vec<FieldError> {
         (wanted.tolerance.is_finite() && wanted.tolerance >= 0.0, "/tolerance", not_negative),
         (limit(wanted.max_rmse), "/max_rmse", not_negative),
         (limit(wanted.max_flip), "/max_flip", not_negative),
+        (limit(wanted.max_hdr_flip), "/max_hdr_flip", not_negative),
     ];
     checks.into_iter().filter(|check| !check.0).map(|(_, pointer, detail)| FieldError::new(pointer, detail)).collect()
 }

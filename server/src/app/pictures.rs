@@ -102,7 +102,9 @@ impl App {
         let looked = tokio::task::spawn_blocking(move || Picture::open(&bytes, max_pixels).and_then(work));
         looked.await.map_err(ApiError::internal)?.map_err(|error| match error {
             PictureError::NoLayer(detail) => ApiError::new(Code::NotFound, detail),
-            PictureError::Unreadable(detail) => ApiError::fields(vec![FieldError::new("path", detail)]),
+            PictureError::Unreadable(detail) | PictureError::NotLinear(detail) => {
+                ApiError::fields(vec![FieldError::new("path", detail)])
+            }
         })
     }
 

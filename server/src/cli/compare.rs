@@ -23,7 +23,7 @@ pub(crate) struct Args {
     /// Which layer of OpenEXR files: `depth`, `shading_normal`, `instance_id` and so on.
     #[arg(long, default_value = COLOR)]
     layer: String,
-    /// Write the FLIP error of every pixel as a picture.
+    /// Write the FLIP error of every pixel as a picture (magma: 0 is black, 1 pale yellow).
     #[arg(long, value_name = "OUT.png")]
     heat_map: Option<PathBuf>,
     /// Exit with 1 when the root mean square error is above this; of linear colour, or in the layer's units.
@@ -32,6 +32,12 @@ pub(crate) struct Args {
     /// Exit with 1 when the mean FLIP error is above this.
     #[arg(long)]
     max_flip: Option<f64>,
+    /// Compare by HDR-FLIP too, and draw that: the error at the exposure that shows it best. Of linear colour only.
+    #[arg(long)]
+    hdr: bool,
+    /// Exit with 1 when the mean HDR-FLIP error is above this; as if `--hdr` were given.
+    #[arg(long)]
+    max_hdr_flip: Option<f64>,
     /// Stops by which both are brightened before FLIP and SSIM.
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     exposure: f32,
@@ -43,14 +49,15 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, global: &Global) -> Result<()> {
     let options = Options { exposure: args.exposure, tolerance: args.tolerance, ..Options::default() };
     let (a, b) = (load(&args.a, &args.layer)?, load(&args.b, &args.layer)?);
-    let outcome = layers(&a, &b, &options).map_err(|error| CliError::usage(error.to_string()))?;
+    let hdr = args.hdr || args.max_hdr_flip.is_some();
+    let outcome = layers(&a, &b, &options, hdr).map_err(|error| CliError::usage(error.to_string()))?;
     if let Some(path) = &args.heat_map {
         let failed = |error: String| CliError::usage(format!("--heat-map {}: {error}", path.display()));
-        let png = heat_map_png(&outcome.flip).map_err(|error| failed(error.to_string()))?;
+        let png = heat_map_png(&outcome.error_map).map_err(|error| failed(error.to_string()))?;
         std::fs::write(path, png).map_err(|error| failed(error.to_string()))?;
     }
-    let bounds = Bounds { max_rmse: args.max_rmse, max_flip: args.max_flip };
-    let report = report(a.width, a.height, &outcome.figures, bounds);
+    let bounds = Bounds { max_rmse: args.max_rmse, max_flip: args.max_flip, max_hdr_flip: args.max_hdr_flip };
+    let report = report(&outcome.figures, bounds);
     if global.json {
         output::print_json(&json!(report))?;
     } else {
@@ -68,12 +75,21 @@ fn load(path: &Path, layer: &str) -> Result<Pixels> {
 fn print_report(report: &CompareReport) -> Result<()> {
     let Value::Object(fields) = json!(report) else { return Ok(()) };
     let mut table = output::Table::new(&["figure", "value"]);
-    for (name, value) in fields.into_iter().filter(|(_, value)| !value.is_array() && !value.is_null()) {
-        let text = match value.as_f64().filter(|_| value.is_f64()) {
-            Some(number) => format!("{number:.6}"),
-            None => value.to_string(),
-        };
-        table.row([name, text]);
+    for (name, value) in fields {
+        match value {
+            Value::Array(_) | Value::Null => {}
+            Value::Object(parts) => {
+                parts.into_iter().for_each(|(part, value)| table.row([format!("{name}.{part}"), shown(&value)]));
+            }
+            value => table.row([name, shown(&value)]),
+        }
     }
     table.print()
+}
+
+fn shown(value: &Value) -> String {
+    match value.as_f64().filter(|_| value.is_f64()) {
+        Some(number) => format!("{number:.6}"),
+        None => value.to_string(),
+    }
 }

@@ -3,7 +3,9 @@
 use lightshaft_api::farm::{
     ImageFigures, ImageLimits, ImageResult, ImageTolerance, ImageVerdict, PictureSource, ZTest, ZTestFigures,
 };
-use lightshaft_compare::{Comparison, Image, Moments, Options, Plane, ZTestOptions, compare, z_test};
+use lightshaft_compare::{
+    Comparison, Image, Moments, Options, PIXELS_PER_DEGREE, Plane, ZTestOptions, compare, hdr_flip, z_test,
+};
 
 /// A picture and its identity.
 #[derive(Clone, Debug)]
@@ -73,11 +75,14 @@ pub fn judge_picture(tolerance: &ImageTolerance, pictures: &[Decoded], accepted:
         return Some(JudgedPicture { result, compared: None });
     };
     result.accepted = Some(accepted[index].pixels.clone());
-    let figures = to_figures(&comparison);
+    let mut figures = to_figures(&comparison);
     let mut over = Vec::new();
     match tolerance.limits() {
         None => over.push(format!("{} of {} pixels differ", figures.differing_pixels, figures.pixels)),
         Some(limits) => {
+            if limits.max_hdr_flip.is_some() {
+                figures.hdr_flip_mean = hdr_flip_mean(picture, &accepted[index]);
+            }
             over.extend(over_limits(limits, &figures));
             if let Some(test) = &limits.z_test {
                 let tested = run_z_test(test, &accepted[index], pictures);
@@ -118,6 +123,7 @@ fn to_figures(comparison: &Comparison) -> ImageFigures {
         ssim: report.ssim,
         flip_mean: report.flip_mean,
         flip_p99: report.flip_p99,
+        hdr_flip_mean: None,
         max_difference: differences.max_difference,
         max_at: differences.max_at,
         differing_pixels: differences.differing_pixels,
@@ -131,6 +137,8 @@ fn over_limits(limits: &ImageLimits, figures: &ImageFigures) -> Vec<String> {
     [
         ("RMSE", figures.rmse, limits.max_rmse),
         ("mean FLIP", figures.flip_mean, limits.max_flip),
+        // What is no linear colour has none.
+        ("mean HDR-FLIP", figures.hdr_flip_mean.unwrap_or(f64::NAN), limits.max_hdr_flip),
         ("the share of differing pixels", differing, limits.max_differing),
     ]
     .into_iter()
@@ -138,6 +146,12 @@ fn over_limits(limits: &ImageLimits, figures: &ImageFigures) -> Vec<String> {
     .filter(|&(_, found, limit)| found.is_nan() || found > limit)
     .map(|(name, found, limit)| format!("{name} is {found:.6}, over the limit of {limit}"))
     .collect()
+}
+
+/// Of linear colour only.
+fn hdr_flip_mean(picture: &Decoded, accepted: &Known) -> Option<f64> {
+    let reference = accepted.renderings.first().filter(|first| first.source == PictureSource::Exr)?;
+    Some(hdr_flip(&reference.image, &picture.image, PIXELS_PER_DEGREE).ok()?.error.mean())
 }
 
 fn run_z_test(test: &ZTest, known: &Known, pictures: &[Decoded]) -> Result<ZTestFigures, String> {
@@ -224,6 +238,25 @@ mod tests {
         assert_eq!(both.verdict, ImageVerdict::Changed);
         let reason = both.reason.unwrap();
         assert!(reason.contains("differing pixels is 0.5") && !reason.contains("RMSE"), "{reason}");
+    }
+
+    #[test]
+    fn highlights_that_a_display_clips_are_seen_by_hdr_flip() {
+        let (lamp, brighter) = (grey(16, 16, &[0.2, 0.2, 0.2, 40.0]), grey(16, 16, &[0.2, 0.2, 0.2, 80.0]));
+        let accepted = [known(&[lamp])];
+        let clipped = judge(&limits(|l| l.max_flip = Some(0.0)), &brighter, &accepted);
+        assert_eq!(clipped.verdict, ImageVerdict::WithinTolerance);
+        assert_eq!(clipped.figures.unwrap().hdr_flip_mean, None, "nobody asked");
+        let seen = judge(&limits(|l| l.max_hdr_flip = Some(0.01)), &brighter, &accepted);
+        assert_eq!(seen.verdict, ImageVerdict::Changed);
+        assert!(seen.figures.unwrap().hdr_flip_mean.unwrap() > 0.01);
+        let loose = judge(&limits(|l| l.max_hdr_flip = Some(0.9)), &brighter, &accepted);
+        assert_eq!(loose.verdict, ImageVerdict::WithinTolerance);
+
+        let shown = |picture: &Decoded| Decoded::new(PictureSource::Png, picture.image.clone());
+        let accepted = [known(&[shown(&grey(4, 4, &[0.5]))])];
+        let unknowable = judge(&limits(|l| l.max_hdr_flip = Some(1.0)), &shown(&grey(4, 4, &[0.6])), &accepted);
+        assert_eq!(unknowable.verdict, ImageVerdict::Changed, "no limit is kept by what cannot be found");
     }
 
     #[test]

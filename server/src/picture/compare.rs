@@ -1,7 +1,9 @@
 //! How far two layers are apart, as figures and as pictures.
 
-use lightshaft_api::compare::CompareReport;
-use lightshaft_compare::{Error, Image, Options, Plane, Report, compare, differences, flip, heat_map, psnr, ssim};
+use lightshaft_api::compare::{CompareReport, HdrFlipFigures};
+use lightshaft_compare::{
+    Error, HdrFlip, Image, Options, Plane, Report, compare, differences, flip, hdr_flip, heat_map, psnr, ssim,
+};
 use lightshaft_engine::film::{AovLayer, LayerKind, encode_png_srgb8, integer_value};
 
 use super::{Picture, PictureError, range, unreadable};
@@ -12,6 +14,8 @@ pub struct Pixels {
     pub height: u32,
     pub layer: AovLayer,
     pub is_color: bool,
+    /// Tone mapped already; decoded to linear.
+    pub display_referred: bool,
 }
 
 /// Limits that a comparison must keep.
@@ -19,12 +23,23 @@ pub struct Pixels {
 pub struct Bounds {
     pub max_rmse: Option<f64>,
     pub max_flip: Option<f64>,
+    pub max_hdr_flip: Option<f64>,
 }
 
 /// Figures, and the FLIP error of every pixel.
 pub struct Outcome {
-    pub figures: Report,
-    pub flip: Plane,
+    pub figures: Figures,
+    /// Of HDR-FLIP where that was wanted.
+    pub error_map: Plane,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Figures {
+    width: u32,
+    height: u32,
+    report: Report,
+    /// Where it was wanted.
+    hdr_flip: Option<HdrFlipFigures>,
 }
 
 impl Pixels {
@@ -34,13 +49,19 @@ impl Pixels {
         let index = picture.find(layer)?;
         let (width, height) = (picture.width, picture.height);
         let is_color = picture.layers[index].kind == LayerKind::Color;
-        Ok(Self { width, height, layer: picture.read(index)?, is_color })
+        let display_referred = picture.display_referred;
+        Ok(Self { width, height, layer: picture.read(index)?, is_color, display_referred })
     }
 
-    /// A picture's colour.
+    /// A picture's linear colour.
     pub fn color(image: &Image) -> Self {
         let layer = AovLayer::Vector(image.pixels().to_vec());
-        Self { width: image.width() as u32, height: image.height() as u32, layer, is_color: true }
+        let (width, height) = (image.width() as u32, image.height() as u32);
+        Self { width, height, layer, is_color: true, display_referred: false }
+    }
+
+    fn is_linear_color(&self) -> bool {
+        self.is_color && !self.display_referred
     }
 
     /// As three channels each; ids as floats, exact below 2^24, "none" as infinity.
@@ -54,35 +75,60 @@ impl Pixels {
     }
 }
 
-/// Compares `b` with the reference `a`.
+/// Compares `b` with the reference `a`, by HDR-FLIP too where `hdr` says so.
 ///
 /// FLIP and SSIM are made for colours between black and white. Other layers are spread over the range that both
 /// have in common, so that the greatest difference there can be is that between black and white.
 ///
 /// # Errors
-/// When the sizes differ.
-pub fn layers(a: &Pixels, b: &Pixels, options: &Options) -> Result<Outcome, Error> {
-    let (first, second) = (a.image()?, b.image()?);
-    if a.is_color && b.is_color {
-        let comparison = compare(&first, &second, options)?;
-        return Ok(Outcome { figures: comparison.report, flip: comparison.flip });
+/// When the sizes differ, or HDR-FLIP is wanted of what is no linear colour.
+pub fn layers(a: &Pixels, b: &Pixels, options: &Options, hdr: bool) -> Result<Outcome, PictureError> {
+    if hdr && !(a.is_linear_color() && b.is_linear_color()) {
+        let detail = "HDR-FLIP is for linear colour: the layer `color` of OpenEXR or Radiance files";
+        return Err(PictureError::NotLinear(detail.to_owned()));
     }
+    let (first, second) = (a.image().map_err(unreadable)?, b.image().map_err(unreadable)?);
+    if a.is_color && b.is_color {
+        let comparison = compare(&first, &second, options).map_err(unreadable)?;
+        let figures = Figures { width: a.width, height: a.height, report: comparison.report, hdr_flip: None };
+        if !hdr {
+            return Ok(Outcome { figures, error_map: comparison.flip });
+        }
+        let found = hdr_flip(&first, &second, options.pixels_per_degree).map_err(unreadable)?;
+        let figures = Figures { hdr_flip: Some(hdr_figures(&found)), ..figures };
+        return Ok(Outcome { figures, error_map: found.error });
+    }
+    spread_layers(a, b, [&first, &second], options).map_err(unreadable)
+}
+
+fn hdr_figures(found: &HdrFlip) -> HdrFlipFigures {
+    HdrFlipFigures {
+        mean: found.error.mean(),
+        p99: f64::from(found.error.percentile(0.99)),
+        start_exposure: f64::from(found.exposures.start),
+        stop_exposure: f64::from(found.exposures.stop),
+        exposures: found.exposures.count,
+    }
+}
+
+fn spread_layers(a: &Pixels, b: &Pixels, images: [&Image; 2], options: &Options) -> Result<Outcome, Error> {
+    let [first, second] = images;
     let (low, span) = common_range(a, b);
     let spread = |image: &Image| {
         let pixels = image.pixels().iter().map(|pixel| pixel.map(|value| (value - low) / span)).collect();
         Image::new(image.width(), image.height(), pixels)
     };
-    let differences = differences(&first, &second, options.tolerance)?;
-    let (first, second) = (spread(&first)?, spread(&second)?);
+    let differences = differences(first, second, options.tolerance)?;
+    let (first, second) = (spread(first)?, spread(second)?);
     let flip = flip(&first, &second, 0.0, options.pixels_per_degree)?;
-    let figures = Report {
+    let report = Report {
         differences,
         psnr: psnr(&first, &second, 0.0)?,
         ssim: ssim(&first, &second, 0.0)?,
         flip_mean: flip.mean(),
         flip_p99: f64::from(flip.percentile(0.99)),
     };
-    Ok(Outcome { figures, flip })
+    Ok(Outcome { figures: Figures { width: a.width, height: a.height, report, hdr_flip: None }, error_map: flip })
 }
 
 /// Least value of both, and the distance to the greatest, which is not 0.
@@ -94,9 +140,16 @@ fn common_range(a: &Pixels, b: &Pixels) -> (f32, f32) {
 }
 
 /// The figures with the limits, and whether they are kept.
-pub fn report(width: u32, height: u32, figures: &Report, bounds: Bounds) -> CompareReport {
-    let differences = &figures.differences;
-    let limits = [("RMSE", differences.rmse, bounds.max_rmse), ("mean FLIP", figures.flip_mean, bounds.max_flip)];
+pub fn report(figures: &Figures, bounds: Bounds) -> CompareReport {
+    let Figures { width, height, report, hdr_flip } = *figures;
+    let differences = &report.differences;
+    // Without HDR-FLIP, a limit on it is not kept.
+    let hdr_mean = hdr_flip.map_or(f64::NAN, |found| found.mean);
+    let limits = [
+        ("RMSE", differences.rmse, bounds.max_rmse),
+        ("mean FLIP", report.flip_mean, bounds.max_flip),
+        ("mean HDR-FLIP", hdr_mean, bounds.max_hdr_flip),
+    ];
     let over_limits: Vec<String> = limits
         .into_iter()
         .filter_map(|(name, found, limit)| Some((name, found, limit?)))
@@ -109,18 +162,20 @@ pub fn report(width: u32, height: u32, figures: &Report, bounds: Bounds) -> Comp
         rmse: differences.rmse,
         rel_mse: differences.rel_mse,
         mae: differences.mae,
-        psnr: figures.psnr,
+        psnr: report.psnr,
         mean_ratio: differences.mean_ratio,
         max_difference: differences.max_difference,
         max_at: differences.max_at,
         differing_pixels: differences.differing_pixels,
         non_finite_pixels: differences.non_finite_pixels,
         pixels: differences.pixels,
-        ssim: figures.ssim,
-        flip_mean: figures.flip_mean,
-        flip_p99: figures.flip_p99,
+        ssim: report.ssim,
+        flip_mean: report.flip_mean,
+        flip_p99: report.flip_p99,
+        hdr_flip,
         max_rmse: bounds.max_rmse,
         max_flip: bounds.max_flip,
+        max_hdr_flip: bounds.max_hdr_flip,
         passed: over_limits.is_empty(),
         over_limits,
     }
@@ -169,43 +224,81 @@ mod tests {
     use super::*;
 
     fn scalar(values: &[f32]) -> Pixels {
-        Pixels { width: values.len() as u32, height: 1, layer: AovLayer::Scalar(values.to_vec()), is_color: false }
+        Pixels {
+            width: values.len() as u32,
+            height: 1,
+            layer: AovLayer::Scalar(values.to_vec()),
+            is_color: false,
+            display_referred: false,
+        }
     }
 
     fn ids(values: &[u32]) -> Pixels {
-        Pixels { width: values.len() as u32, height: 1, layer: AovLayer::Integer(values.to_vec()), is_color: false }
+        Pixels {
+            width: values.len() as u32,
+            height: 1,
+            layer: AovLayer::Integer(values.to_vec()),
+            is_color: false,
+            display_referred: false,
+        }
+    }
+
+    fn compared(a: &Pixels, b: &Pixels) -> Figures {
+        layers(a, b, &Options::default(), false).unwrap().figures
     }
 
     #[test]
     fn depth_is_compared_in_its_own_units_and_infinity_is_no_difference() {
         let (a, b) = (scalar(&[1.0, 5.0, 100.0, f32::INFINITY]), scalar(&[1.0, 8.0, 100.0, f32::INFINITY]));
-        let outcome = layers(&a, &b, &Options::default()).unwrap();
-        let found = outcome.figures.differences;
+        let report = compared(&a, &b).report;
+        let found = report.differences;
         assert_eq!((found.max_difference, found.differing_pixels, found.non_finite_pixels), (3.0, 1, 1));
         assert!((found.rmse - 3.0_f64.sqrt()).abs() < 1e-9);
-        assert!(outcome.figures.flip_mean > 0.0 && outcome.figures.flip_mean < 0.5);
-        let same = layers(&a, &a, &Options::default()).unwrap();
-        assert_eq!((same.figures.flip_mean, same.figures.differences.differing_pixels), (0.0, 0));
+        assert!(report.flip_mean > 0.0 && report.flip_mean < 0.5);
+        let same = compared(&a, &a).report;
+        assert_eq!((same.flip_mean, same.differences.differing_pixels), (0.0, 0));
     }
 
     #[test]
     fn an_id_in_one_picture_only_is_a_difference() {
         let (a, b) = (ids(&[7, u32::MAX, 3]), ids(&[7, 5, 4]));
-        let found = layers(&a, &b, &Options::default()).unwrap().figures.differences;
+        let found = compared(&a, &b).report.differences;
         assert_eq!((found.differing_pixels, found.non_finite_pixels), (2, 1));
         let nothing = ids(&[u32::MAX; 3]);
-        assert_eq!(layers(&nothing, &nothing, &Options::default()).unwrap().figures.differences.differing_pixels, 0);
+        assert_eq!(compared(&nothing, &nothing).report.differences.differing_pixels, 0);
     }
 
     #[test]
     fn limits_are_kept_up_to_their_value() {
         let (a, b) = (scalar(&[0.0, 1.0]), scalar(&[0.0, 1.5]));
-        let figures = layers(&a, &b, &Options::default()).unwrap().figures;
-        let with = |max_rmse| report(2, 1, &figures, Bounds { max_rmse, max_flip: None });
-        assert!(with(None).passed && with(Some(figures.differences.rmse)).passed);
+        let figures = compared(&a, &b);
+        let with = |max_rmse| report(&figures, Bounds { max_rmse, ..Bounds::default() });
+        assert!(with(None).passed && with(Some(figures.report.differences.rmse)).passed);
         let over = with(Some(0.1));
         assert!(!over.passed);
         assert_eq!(over.over_limits, ["RMSE is 0.353553, over the limit of 0.1"]);
+    }
+
+    #[test]
+    fn hdr_flip_is_for_linear_colour_and_has_a_limit_of_its_own() {
+        let color = |values: &[f32]| {
+            Pixels::color(&Image::new(values.len(), 1, values.iter().map(|&value| [value; 3]).collect()).unwrap())
+        };
+        let (a, b) = (color(&[0.5, 0.5, 0.5, 100.0]), color(&[0.5, 0.5, 0.5, 150.0]));
+        let outcome = layers(&a, &b, &Options::default(), true).unwrap();
+        let found = outcome.figures.hdr_flip.unwrap();
+        assert!(outcome.figures.report.flip_mean == 0.0 && found.mean > 0.01, "a display clips both: {found:?}");
+        assert!(found.exposures > 6 && found.start_exposure < found.stop_exposure);
+        assert_eq!(outcome.error_map.mean(), found.mean, "the map is that of HDR-FLIP");
+        let limited = |max_hdr_flip| report(&outcome.figures, Bounds { max_hdr_flip, ..Bounds::default() });
+        assert!(limited(Some(1.0)).passed && !limited(Some(0.001)).passed);
+        assert!(limited(Some(0.0)).over_limits[0].starts_with("mean HDR-FLIP is 0."));
+
+        let shown = Pixels { display_referred: true, ..color(&[0.5]) };
+        for wrong in [shown, scalar(&[0.5])] {
+            let error = layers(&color(&[0.5]), &wrong, &Options::default(), true).err().unwrap();
+            assert!(matches!(&error, PictureError::NotLinear(detail) if detail.contains("OpenEXR")), "{error:?}");
+        }
     }
 
     #[test]

@@ -33,6 +33,8 @@ pub enum PictureError {
     Unreadable(String),
     #[error("{0}")]
     NoLayer(String),
+    #[error("{0}")]
+    NotLinear(String),
 }
 
 /// What went wrong inside, as a problem of the file.

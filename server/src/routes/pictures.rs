@@ -44,9 +44,12 @@ pub(super) struct HeatMapParams {
     a_layer: Option<String>,
     /// Layer of the other picture; that of the reference by default.
     b_layer: Option<String>,
-    /// Stops by which both are brightened, -32 to 32.
+    /// Stops by which both are brightened, -32 to 32. Not for HDR-FLIP.
     #[serde(default)]
     exposure: f32,
+    /// Whether HDR-FLIP is drawn.
+    #[serde(default)]
+    hdr: bool,
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -179,7 +182,7 @@ pub(super) async fn get_blob_pixel(
     Ok(Reply(app.picture_pixel(&hash, at.x, at.y).await?))
 }
 
-/// How far two pictures are apart: RMSE, relative MSE, SSIM, FLIP and differing pixels, with limits. Pictures are artifacts
+/// How far two pictures are apart: RMSE, relative MSE, SSIM, FLIP, HDR-FLIP and differing pixels, with limits. Pictures are artifacts
 /// of jobs, blobs, or uploads: then the body is `multipart/form-data` with the files as parts `a` and `b`, and the rest, if
 /// any, as JSON in a part `request`. Answers 200 whether the limits are kept or not: see `passed`.
 #[utoipa::path(
@@ -199,7 +202,7 @@ pub(super) async fn compare_pictures(State(app): State<Shared>, request: Request
     Ok(Reply(app.compare(&wanted, uploads).await?))
 }
 
-/// The FLIP error of every pixel of two blobs (magma: 0 is black, 1 pale yellow). `POST /v1/compare` answers such addresses.
+/// The FLIP or HDR-FLIP error of every pixel of two blobs (magma: 0 is black, 1 pale yellow). `POST /v1/compare` answers such addresses.
 #[utoipa::path(
     get, path = "/v1/compare/{a}/{b}/heat-map.png", tag = "pictures",
     params(
@@ -223,7 +226,7 @@ pub(super) async fn get_heat_map(
     if !is_exposure(exposure) {
         return Err(ApiError::bad_request("query/exposure", "must be -32 to 32 stops"));
     }
-    let key = key(a, b, params.a_layer, params.b_layer, exposure)?;
+    let key = ComparisonKey { exposure, hdr: params.hdr, ..key(a, b, params.a_layer, params.b_layer)? };
     let etag = etag(&format!("heat map {key:?}"));
     file::made(&etag, "image/png", IMMUTABLE, &headers, async || Ok(Body::from(app.heat_map(&key).await?))).await
 }
@@ -253,19 +256,13 @@ pub(super) async fn get_difference(
     if !(gain.is_finite() && gain > 0.0) {
         return Err(ApiError::bad_request("query/gain", "must be a number greater than 0"));
     }
-    let key = key(a, b, params.a_layer, params.b_layer, 0.0)?;
+    let key = key(a, b, params.a_layer, params.b_layer)?;
     let etag = etag(&format!("difference {gain} {key:?}"));
     file::made(&etag, "image/png", IMMUTABLE, &headers, async || Ok(Body::from(app.difference(&key, gain).await?)))
         .await
 }
 
-fn key(
-    a: String,
-    b: String,
-    a_layer: Option<String>,
-    b_layer: Option<String>,
-    exposure: f32,
-) -> ApiResult<ComparisonKey> {
+fn key(a: String, b: String, a_layer: Option<String>, b_layer: Option<String>) -> ApiResult<ComparisonKey> {
     for (name, hash) in [("a", &a), ("b", &b)] {
         if !is_hash(hash) {
             return Err(ApiError::bad_request(&format!("path/{name}"), "must be 64 lower-case hex digits"));
@@ -274,7 +271,7 @@ fn key(
     let a_layer = a_layer.unwrap_or_else(|| COLOR.to_owned());
     let b_layer = b_layer.unwrap_or_else(|| a_layer.clone());
     let (a, b) = (ComparedPicture { hash: a, layer: a_layer }, ComparedPicture { hash: b, layer: b_layer });
-    Ok(ComparisonKey { a, b, exposure, tolerance: 0.0 })
+    Ok(ComparisonKey { a, b, exposure: 0.0, tolerance: 0.0, hdr: false })
 }
 
 /// Of what is made from content that does not change: where it comes from, and the version that makes it.

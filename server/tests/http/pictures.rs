@@ -169,6 +169,41 @@ async fn jobs_are_compared_with_limits_and_pictures_that_have_addresses_of_their
 }
 
 #[tokio::test]
+async fn hdr_flip_sees_what_a_display_clips() {
+    let service = Service::start().await;
+    let lit = |brightness: f32| {
+        let mut pixels = vec![[0.2; 3]; (WIDTH * HEIGHT) as usize];
+        pixels[100..140].fill([brightness; 3]);
+        encode_exr(WIDTH, HEIGHT, &pixels, None, &[]).unwrap()
+    };
+    let (a, b) = (put(&service, lit(20.0)).await, put(&service, lit(60.0)).await);
+    let request = |more: Value| {
+        let mut body = json!({ "a": { "blob": a }, "b": { "blob": b } });
+        body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        service.post("/v1/compare", body)
+    };
+    let plain: Compared = request(json!({ "max_flip": 0.0 })).await.json();
+    assert!(plain.report.passed && plain.report.hdr_flip.is_none(), "{:?}", plain.report);
+    let hdr: Compared = request(json!({ "hdr": true })).await.json();
+    let found = hdr.report.hdr_flip.unwrap();
+    assert!(found.mean > 0.01 && found.p99 > 0.1 && found.exposures >= 7, "{found:?}");
+    assert!(hdr.heat_map.ends_with("&hdr=true") && !hdr.difference.contains("hdr"), "{}", hdr.heat_map);
+    let (hdr_map, map) = (service.get(&hdr.heat_map).await, service.get(&plain.heat_map).await);
+    assert!(
+        hdr_map.status == StatusCode::OK && hdr_map.body != map.body && hdr_map.header("etag") != map.header("etag")
+    );
+    let limited: Compared = request(json!({ "max_hdr_flip": 0.005 })).await.json();
+    assert!(!limited.report.passed && limited.report.over_limits[0].starts_with("mean HDR-FLIP"));
+
+    assert_eq!(request(json!({ "max_hdr_flip": -1 })).await.pointers(), ["/max_hdr_flip"]);
+    let shown = put(&service, png(WIDTH, HEIGHT)).await;
+    let answer = request(json!({ "b": { "blob": shown }, "hdr": true })).await;
+    assert_eq!((answer.status, answer.pointers()), (StatusCode::UNPROCESSABLE_ENTITY, vec!["/hdr".to_owned()]));
+    let address = format!("/v1/compare/{a}/{shown}/heat-map.png?hdr=true");
+    assert_eq!(service.get(&address).await.pointers(), ["query/hdr"]);
+}
+
+#[tokio::test]
 async fn uploads_are_compared_with_each_other_and_with_what_is_here() {
     let service = Service::start().await;
     let both = upload(&service, &[("a", &exr(1.0)), ("b", &exr(1.0))]).await;

@@ -5,7 +5,7 @@
 //! Its Gaussians are separable, and so filtered here: the blue-yellow channel's sum of two Gaussians is filtered twice.
 //! Tests compare every pixel with NVIDIA's own implementation.
 
-use crate::image::{Error, Image, is_finite, same_size, srgb_decode};
+use crate::image::{Error, Image, is_finite, same_size};
 use crate::plane::Plane;
 
 /// Pixels per degree of visual angle of the paper's viewer: 0.7 m away from a 0.7 m wide display of 3840 pixels.
@@ -25,14 +25,25 @@ const FEATURE_WIDTH_DEG: f32 = 0.082;
 /// Exponent of the feature difference.
 const Q_F: f32 = 0.5;
 
-/// FLIP errors, 0 to 1 per pixel, of two linear images shown with `2^exposure`, clamped to 0..1 and sRGB-encoded.
+/// FLIP errors, 0 to 1 per pixel, of two linear images shown with `2^exposure` and clamped to 0..1.
 /// A pixel with a NaN or an infinity in one image only has the error 1.
 ///
 /// # Errors
 /// [`Error::Size`] when the sizes differ.
 pub fn flip(reference: &Image, test: &Image, exposure: f32, pixels_per_degree: f32) -> Result<Plane, Error> {
+    let scale = exposure.exp2();
+    flip_shown(reference, test, pixels_per_degree, |channel| channel * scale)
+}
+
+/// FLIP errors of two images whose channels a display shows as `tone` of them, clamped to 0..1.
+pub(crate) fn flip_shown(
+    reference: &Image,
+    test: &Image,
+    pixels_per_degree: f32,
+    tone: impl Fn(f32) -> f32,
+) -> Result<Plane, Error> {
     same_size(reference, test)?;
-    let (r, t) = (Opponent::new(reference, exposure), Opponent::new(test, exposure));
+    let (r, t) = (Opponent::new(reference, &tone), Opponent::new(test, &tone));
     let color = color_difference(&r, &t, pixels_per_degree);
     let feature = feature_difference(&r, &t, pixels_per_degree);
     let mut error: Vec<f32> = color.iter().zip(&feature).map(|(color, feature)| color.powf(1.0 - feature)).collect();
@@ -52,12 +63,13 @@ struct Opponent {
 }
 
 impl Opponent {
-    fn new(image: &Image, exposure: f32) -> Self {
+    /// Channels that are NaN become 0.
+    fn new(image: &Image, tone: impl Fn(f32) -> f32) -> Self {
         let pixels: Vec<[f32; 3]> = image
-            .encoded(exposure)
-            .into_iter()
+            .pixels()
+            .iter()
             .map(|pixel| {
-                let [x, y, z] = relative_xyz(pixel.map(srgb_decode));
+                let [x, y, z] = relative_xyz(pixel.map(|channel| tone(channel).clamp(0.0, 1.0).max(0.0)));
                 [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
             })
             .collect();

@@ -1,6 +1,7 @@
 //! How far two pictures are apart, in numbers and as a picture: RMSE, relative MSE, MAE, PSNR, mean ratio, largest
-//! difference and where, count of differing pixels, SSIM, FLIP with its heat map, a Z-test for sampled effects; and how far
-//! two timings are apart. Pure functions; no IO.
+//! difference and where, count of differing pixels, SSIM, FLIP with its heat map (of what a display shows, or of every
+//! exposure of high-dynamic-range images), a Z-test for sampled effects; and how far two timings are apart. Pure functions;
+//! no IO.
 //!
 //! ```
 //! use lightshaft_compare::{Image, Options, compare};
@@ -14,6 +15,7 @@
 
 mod error;
 mod flip;
+mod hdr_flip;
 mod heat_map;
 mod image;
 mod normal;
@@ -28,6 +30,7 @@ mod z_test;
 
 pub use error::{Differences, REL_MSE_EPSILON, differences};
 pub use flip::{PIXELS_PER_DEGREE, flip};
+pub use hdr_flip::{Exposures, HdrFlip, hdr_flip};
 pub use heat_map::heat_map;
 pub use image::{Error, Image};
 pub use plane::Plane;

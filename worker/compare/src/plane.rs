@@ -51,9 +51,17 @@ impl Plane {
     pub(crate) fn filter(&self, horizontal: &[f32], vertical: &[f32]) -> Self {
         let (width, height) = (self.width, self.height);
         let mut rows = vec![0.0; self.values.len()];
+        // Each row with its border, so that every tap is one run over it.
+        let margin = horizontal.len() / 2;
+        let mut wide = vec![0.0; width + 2 * margin];
         for (row, out) in self.values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-            for (x, out) in out.iter_mut().enumerate() {
-                *out = weighted(horizontal, x, width, |x| row[x]);
+            wide[..margin].fill(row[0]);
+            wide[margin..margin + width].copy_from_slice(row);
+            wide[margin + width..].fill(row[width - 1]);
+            for (tap, &weight) in horizontal.iter().enumerate() {
+                for (out, &value) in out.iter_mut().zip(&wide[tap..]) {
+                    *out += weight * value;
+                }
             }
         }
         let mut values = vec![0.0; self.values.len()];
@@ -68,12 +76,6 @@ impl Plane {
         }
         Self::new(width, height, values)
     }
-}
-
-fn weighted(kernel: &[f32], at: usize, length: usize, value: impl Fn(usize) -> f32) -> f32 {
-    let radius = kernel.len() / 2;
-    let taps = kernel.iter().enumerate();
-    taps.map(|(tap, &weight)| weight * value((at + tap).saturating_sub(radius).min(length - 1))).sum()
 }
 
 #[cfg(test)]

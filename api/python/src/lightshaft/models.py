@@ -606,6 +606,8 @@ class ImageFigures:
     flip_mean: float
     #: The FLIP error that 99 % of the pixels do not exceed.
     flip_p99: float
+    #: Mean HDR-FLIP error; null where the case has no limit on it.
+    hdr_flip_mean: float | None = None
     #: Mean absolute error of linear colour.
     mae: float
     #: Column and row of the pixel with the largest difference; null when nothing differs.
@@ -629,6 +631,8 @@ class ImageLimits:
     max_differing: float | None = None
     #: Mean FLIP error, 0 to 1.
     max_flip: float | None = None
+    #: Mean HDR-FLIP error, 0 to 1: what is seen at the exposure that shows it best. Of cases whose outputs have `exr`.
+    max_hdr_flip: float | None = None
     #: Root mean square error of linear colour.
     max_rmse: float | None = None
     #: For sampled effects: repetitions are rendered with other seeds, and their mean is tested pixel by pixel.

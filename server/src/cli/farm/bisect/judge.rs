@@ -73,26 +73,22 @@ impl<'a> Judge<'a> {
 
     fn by_picture(&self, good: &Pixels, tree: &WorkTree<'_>, commit: &Commit) -> Result<Trial> {
         let Some(found) = picture(self.args, tree, commit)? else { return Ok(skipped(commit)) };
-        let outcome = match layers(good, &found, &Options::default()) {
+        let outcome = match layers(good, &found, &Options::default(), false) {
             Ok(outcome) => outcome,
             Err(error) => return Ok(trial(commit, false, error.to_string())),
         };
-        let bounds = Bounds { max_rmse: self.args.max_rmse, max_flip: self.args.max_flip };
-        let report = report(good.width, good.height, &outcome.figures, bounds);
+        let bounds = Bounds { max_rmse: self.args.max_rmse, max_flip: self.args.max_flip, max_hdr_flip: None };
+        let report = report(&outcome.figures, bounds);
         let has_limits = bounds.max_rmse.is_some() || bounds.max_flip.is_some();
-        let differing = outcome.figures.differences.differing_pixels;
+        let differing = report.differing_pixels;
         let reason = match (has_limits, differing) {
             (_, 0) => "no pixel differs".to_owned(),
-            (true, _) if report.passed => format!("mean FLIP {:.4}, within the limits", outcome.figures.flip_mean),
+            (true, _) if report.passed => format!("mean FLIP {:.4}, within the limits", report.flip_mean),
             (true, _) => report.over_limits.join("; "),
-            (false, n) => format!("{n} pixels differ, mean FLIP {:.4}", outcome.figures.flip_mean),
+            (false, n) => format!("{n} pixels differ, mean FLIP {:.4}", report.flip_mean),
         };
         let is_good = if has_limits { report.passed } else { differing == 0 };
-        Ok(Trial {
-            flip_mean: Some(outcome.figures.flip_mean),
-            rmse: Some(outcome.figures.differences.rmse),
-            ..trial(commit, is_good, reason)
-        })
+        Ok(Trial { flip_mean: Some(report.flip_mean), rmse: Some(report.rmse), ..trial(commit, is_good, reason) })
     }
 
     fn by_time(&self, good_tree: &WorkTree<'_>, good: &Commit, tree: &WorkTree<'_>, commit: &Commit) -> Result<Trial> {
