@@ -199,6 +199,20 @@ impl Client {
     async fn post_json<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> Result<T> {
         self.send_json(self.request(Method::POST, path).json(body)).await
     }
+
+    /// With a key, repeating the request makes nothing twice.
+    async fn post_once<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        body: &impl Serialize,
+        idempotency_key: Option<&str>,
+    ) -> Result<T> {
+        let mut request = self.request(Method::POST, path).json(body);
+        if let Some(key) = idempotency_key {
+            request = request.header("idempotency-key", key);
+        }
+        self.send_json(request).await
+    }
 }
 
 fn builder() -> ClientBuilder {

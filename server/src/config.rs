@@ -23,6 +23,8 @@ pub struct Config {
     pub keep_jobs: Option<Duration>,
     /// How many runs of each suite of the farm are kept; all when `None`. What was accepted stays whatever this is.
     pub keep_runs: Option<u32>,
+    /// Send messages of webhooks to loopback, private and link-local addresses, too.
+    pub webhook_allow_private: bool,
     /// How long requests in progress may take to end after a shutdown was asked for.
     pub shutdown_deadline: Duration,
     pub limits: Limits,
@@ -70,6 +72,7 @@ impl Config {
             thumbnails: true,
             keep_jobs: None,
             keep_runs: None,
+            webhook_allow_private: false,
             shutdown_deadline: Duration::from_secs(10),
             limits: Limits::default(),
         }

@@ -14,6 +14,7 @@ pub mod dashboard;
 pub mod error;
 pub mod farm;
 mod lock;
+mod messenger;
 pub mod picture;
 pub mod problems;
 pub mod queue;

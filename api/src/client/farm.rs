@@ -7,7 +7,8 @@ use reqwest::header::CONTENT_TYPE;
 use super::{Client, Result, segment};
 use crate::farm::{
     Baseline, BaselineReset, Calibration, Decision, DecisionKind, DecisionNote, Decisions, History, NewCalibration,
-    NewRun, NewSchedule, NewSuite, Run, RunKind, RunState, RunSummary, Schedule, Suite, SuiteSummary,
+    NewRun, NewSchedule, NewSuite, NewWebhook, Run, RunKind, RunState, RunSummary, Schedule, Suite, SuiteSummary,
+    Webhook, WebhookDelivery,
 };
 use crate::page::Page;
 
@@ -108,8 +109,9 @@ impl Client {
         self.get_json(&format!("v1/farm/suites/{}", segment(id)), &()).await
     }
 
-    pub async fn create_run(&self, run: &NewRun) -> Result<Run> {
-        self.post_json("v1/farm/runs", run).await
+    /// Begins a run; with a key, a repeated call gives the run that the first one began.
+    pub async fn create_run(&self, run: &NewRun, idempotency_key: Option<&str>) -> Result<Run> {
+        self.post_once("v1/farm/runs", run, idempotency_key).await
     }
 
     pub async fn runs(&self, filter: &RunFilter) -> Result<Page<RunSummary>> {
@@ -188,6 +190,33 @@ impl Client {
         let path = format!("v1/farm/schedules/{}", segment(id));
         self.send(self.request(Method::DELETE, &path)).await.map(|_| ())
     }
+}
+
+impl Client {
+    pub async fn create_webhook(&self, webhook: &NewWebhook) -> Result<Webhook> {
+        self.post_json("v1/farm/webhooks", webhook).await
+    }
+
+    pub async fn webhooks(&self) -> Result<Page<Webhook>> {
+        self.get_json("v1/farm/webhooks", &()).await
+    }
+
+    pub async fn webhook(&self, id: &str) -> Result<Webhook> {
+        self.get_json(&webhook_path(id), &()).await
+    }
+
+    pub async fn delete_webhook(&self, id: &str) -> Result<()> {
+        self.send(self.request(Method::DELETE, &webhook_path(id))).await.map(|_| ())
+    }
+
+    /// A webhook's messages with the attempts to deliver them, newest first.
+    pub async fn deliveries(&self, webhook: &str, cursor: Option<&str>) -> Result<Page<WebhookDelivery>> {
+        self.get_json(&format!("{}/deliveries", webhook_path(webhook)), &[("cursor", cursor)]).await
+    }
+}
+
+fn webhook_path(id: &str) -> String {
+    format!("v1/farm/webhooks/{}", segment(id))
 }
 
 fn run_path(id: &str, rest: &str) -> String {

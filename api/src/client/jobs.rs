@@ -44,11 +44,7 @@ impl JobFilter {
 impl Client {
     /// With a key, repeating the call within 24 hours gives the same job instead of a second one.
     pub async fn create_job(&self, job: &NewJob, idempotency_key: Option<&str>) -> Result<Job> {
-        let mut request = self.request(Method::POST, "v1/jobs").json(job);
-        if let Some(key) = idempotency_key {
-            request = request.header("idempotency-key", key);
-        }
-        self.send_json(request).await
+        self.post_once("v1/jobs", job, idempotency_key).await
     }
 
     /// Checks a job without making it.

@@ -14,6 +14,7 @@ mod suite;
 mod text;
 mod time;
 mod tolerance;
+mod webhook;
 
 pub use baseline::{
     AcceptedPicture, AcceptedTimes, Baseline, BaselineReset, Decision, DecisionKind, DecisionNote, Decisions, History,
@@ -30,6 +31,10 @@ pub use suite::{CaseDefaults, NewSuite, SceneSource, Suite, SuiteCase, SuiteSumm
 pub use text::{check_name, check_text};
 pub use time::{Confirmation, ConfirmationState, Spread, TimeRatio, TimeResult, TimeVerdict};
 pub use tolerance::{ImageLimits, ImageTolerance, TimeLimit, TimeMetric, TimeTolerance, ZTest};
+pub use webhook::{
+    CaseNews, DeliveryAttempt, DeliveryState, NewWebhook, Webhook, WebhookData, WebhookDelivery, WebhookEvent,
+    WebhookMessage,
+};
 
 /// The baseline that is meant when none is named.
 pub const DEFAULT_BASELINE: &str = "main";

@@ -9,6 +9,7 @@ use lightshaft_api::job::{
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::scene::Scene;
 use lightshaft_api::settings::{CameraChoice, Environment, Integrator, JobSettings, Output, RenderSettings};
+use serde::Serialize;
 use uuid::Uuid;
 
 use super::App;
@@ -26,6 +27,12 @@ const DELETE_BATCH: u32 = 100;
 pub const KEY_LIFETIME_MS: i64 = 24 * 3_600_000;
 /// The label of the automatic job that renders a scene's thumbnail; its value is `true`.
 pub const THUMBNAIL_LABEL: &str = "lightshaft.thumbnail";
+
+/// The answer to a key that was used for another request.
+pub(super) fn key_reused(made: &str) -> ApiError {
+    let detail = format!("this Idempotency-Key was used within 24 hours for another {made}");
+    ApiError::new(Code::IdempotencyKeyReused, detail)
+}
 
 /// A job, and whether this call made it.
 #[derive(Clone, Debug)]
@@ -72,10 +79,7 @@ impl App {
                 Ok(Created { job: self.job(id).await?, is_new: true })
             }
             Creation::Repeated(id) => Ok(Created { job: self.job(&id).await?, is_new: false }),
-            Creation::KeyReused => Err(ApiError::new(
-                Code::IdempotencyKeyReused,
-                "this Idempotency-Key was used within 24 hours for another job",
-            )),
+            Creation::KeyReused => Err(key_reused("job")),
             Creation::UnknownScene => Err(ApiError::fields(vec![FieldError::new("/scene", "there is no such scene")])),
         }
     }
@@ -262,10 +266,8 @@ impl App {
         Ok(stream::iter(sections).flatten().boxed())
     }
 
-    fn idempotency(&self, key: &str, new: &NewJob) -> ApiResult<Idempotency> {
-        if !(1..=255).contains(&key.len()) || !key.bytes().all(|b| b.is_ascii_graphic()) {
-            return Err(ApiError::bad_request("header/idempotency-key", "must be 1 to 255 visible ASCII characters"));
-        }
+    /// The key of a request that may be repeated.
+    pub(super) fn idempotency(&self, key: &str, new: &impl Serialize) -> ApiResult<Idempotency> {
         let canonical = serde_json::to_vec(new).map_err(ApiError::internal)?;
         Ok(Idempotency {
             key: key.to_owned(),

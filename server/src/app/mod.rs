@@ -42,6 +42,7 @@ use crate::blob::BlobStore;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::error::{ApiError, ApiResult};
+use crate::messenger::Messenger;
 use crate::problems::Code;
 use crate::queue::Millis;
 use crate::store::Store;
@@ -72,6 +73,8 @@ pub struct App {
     /// Counts up with every change of the store.
     changes: watch::Sender<u64>,
     progress: broadcast::Sender<Event>,
+    /// Sends what webhooks are told.
+    messenger: Messenger,
     started: Instant,
 }
 
@@ -107,6 +110,7 @@ impl App {
             picture_turns: Semaphore::new(config.limits.concurrent_pictures.max(1)),
             comparisons: Comparisons::default(),
             roll: RollCall::new(clock.now()),
+            messenger: Messenger::new(config.webhook_allow_private),
             config,
             store,
             blobs,

@@ -47,6 +47,9 @@ pub(crate) struct Args {
     /// Runs of each suite of the farm that are kept with their pictures; accepted pictures always are. [default: all]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000), value_name = "RUNS")]
     keep_runs: Option<u32>,
+    /// Let webhooks be addresses of this machine and of private networks. With --insecure-local they may be anyway.
+    #[arg(long)]
+    webhook_allow_private: bool,
     /// Megabytes of the largest upload of a scene.
     #[arg(long, default_value_t = 2048, value_name = "MB")]
     max_scene_mb: u64,
@@ -64,6 +67,7 @@ pub(crate) async fn run(args: Args, global: &Global) -> Result<()> {
     config.thumbnails = !args.no_thumbnails;
     config.keep_jobs = args.keep_jobs_days.map(|days| Duration::from_secs(days * 24 * 3600));
     config.keep_runs = args.keep_runs;
+    config.webhook_allow_private = args.webhook_allow_private || args.insecure_local;
     config.limits.scene_bytes = args.max_scene_mb.saturating_mul(1 << 20);
     config.limits.import = args.scene_limits.clone();
     // What may be uploaded may also be read.

@@ -29,6 +29,7 @@ pub fn spawn(app: &Shared) -> JoinSet<()> {
     let soon = Duration::from_millis(300);
     chores.spawn(every("farm", app.clone(), soon, soon, farm::run));
     chores.spawn(every("schedules", app.clone(), often, Duration::from_secs(5), farm::begin_scheduled));
+    chores.spawn(every("webhooks", app.clone(), often, often, farm::deliver));
     chores.spawn(every("expiry", app.clone(), Duration::from_secs(60), Duration::from_secs(600), expiry::run));
     chores.spawn(every("discarded", app.clone(), often, Duration::from_secs(10), blobs::delete_discarded));
     chores.spawn(every("scenes", app.clone(), Duration::from_secs(10), Duration::from_secs(60), scenes::run));

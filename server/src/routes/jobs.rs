@@ -23,7 +23,7 @@ use utoipa::IntoParams;
 use crate::app::{EventStream, Shared, is_label_key};
 use crate::error::{ApiError, ApiResult};
 use crate::store::{JobQuery, PageRequest};
-use crate::web::body::{Id, Ids, Json, PageParams, Params};
+use crate::web::body::{Id, IdempotencyKey, Ids, Json, PageParams, Params};
 use crate::web::file::{self, Binary};
 use crate::web::page::page;
 
@@ -132,18 +132,13 @@ pub(super) struct CreateParams {
 pub(super) async fn create_job(
     State(app): State<Shared>,
     Params(params): Params<CreateParams>,
-    headers: HeaderMap,
+    IdempotencyKey(key): IdempotencyKey,
     Json(new): Json<NewJob>,
 ) -> ApiResult<Response> {
     if params.validate_only {
         return Ok(Reply::<ValidatedJob>(app.validate_job(&new).await?).into_response());
     }
-    let key = match headers.get("idempotency-key").map(|value| value.to_str()) {
-        Some(Err(_)) => return Err(ApiError::bad_request("header/idempotency-key", "must be visible ASCII")),
-        Some(Ok(key)) => Some(key),
-        None => None,
-    };
-    let created = app.create_job(&new, key).await?;
+    let created = app.create_job(&new, key.as_deref()).await?;
     if !created.is_new {
         return Ok(Reply::<Job>(created.job).into_response());
     }

@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use async_trait::async_trait;
 use lightshaft_api::farm::{
-    AcceptedPicture, Baseline, CaseState, Decision, DecisionKind, FarmJob, FarmJobPhase, HistoryPoint, ImageResult,
-    ImageTolerance, PictureSource, Run, RunKind, RunState, RunSummary, Schedule, SettingsPatch, Suite, SuiteSummary,
-    TimeMetric, TimeResult, TimeTolerance,
+    AcceptedPicture, Baseline, CaseState, Decision, DecisionKind, DeliveryAttempt, FarmJob, FarmJobPhase, HistoryPoint,
+    ImageResult, ImageTolerance, NewWebhook, PictureSource, Run, RunKind, RunState, RunSummary, Schedule,
+    SettingsPatch, Suite, SuiteSummary, TimeMetric, TimeResult, TimeTolerance, Webhook, WebhookDelivery,
 };
 use lightshaft_api::job::Artifact;
 use lightshaft_api::settings::RenderSettings;
 
-use super::{JobRecord, PageRequest, Result};
+use super::{Creation, Idempotency, JobRecord, PageRequest, Result};
 use crate::queue::Millis;
 
 /// A new run with its cases.
@@ -186,7 +186,10 @@ pub trait SuiteStore {
 
 #[async_trait]
 pub trait RunStore {
-    async fn create_run(&self, run: &RunRecord, now: Millis) -> Result<()>;
+    /// Its scenes must be there.
+    async fn create_run(&self, run: &RunRecord, idempotency: Option<&Idempotency>, now: Millis) -> Result<Creation>;
+    /// The run of a key used before, when the request was the same.
+    async fn repeated_run(&self, idempotency: &Idempotency) -> Result<Option<Creation>>;
     async fn run(&self, id: &str) -> Result<Option<Run>>;
     /// How often a calibration runs each case; `None` of a run that is none.
     async fn calibration_times(&self, id: &str) -> Result<Option<u32>>;
@@ -231,4 +234,42 @@ pub trait ScheduleStore {
     async fn take_schedule(&self, due: &Schedule, next_at: Option<Millis>, now: Millis) -> Result<bool>;
     /// The id of the run that it began, or why it could not.
     async fn note_begun(&self, id: &str, run: std::result::Result<&str, &str>) -> Result<()>;
+}
+
+/// A message that is to be sent now.
+#[derive(Clone, Debug)]
+pub struct DueDelivery {
+    pub id: String,
+    pub webhook: String,
+    pub url: String,
+    pub secret: String,
+    /// JSON.
+    pub body: String,
+    /// Before this one.
+    pub attempts: u32,
+}
+
+/// What becomes of a message after an attempt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AfterAttempt {
+    Delivered,
+    AgainAt(Millis),
+    GivenUp,
+}
+
+/// Messages are put into the outbox by what they tell of: steps of cases, decisions and resets.
+#[async_trait]
+pub trait WebhookStore {
+    async fn add_webhook(&self, id: &str, new: &NewWebhook, now: Millis) -> Result<()>;
+    /// All, or the one with an id; oldest first.
+    async fn webhooks(&self, id: Option<&str>) -> Result<Vec<Webhook>>;
+    /// With its messages; false for an unknown one.
+    async fn delete_webhook(&self, id: &str) -> Result<bool>;
+    /// Messages whose time has come, the longest due first.
+    async fn due_deliveries(&self, now: Millis, limit: u32) -> Result<Vec<DueDelivery>>;
+    async fn note_attempt(&self, due: &DueDelivery, attempt: &DeliveryAttempt, after: AfterAttempt) -> Result<()>;
+    /// Newest first.
+    async fn deliveries(&self, webhook: &str, page: &PageRequest) -> Result<Vec<WebhookDelivery>>;
+    /// Forgets messages of before a time that wait no longer, at most a batch; returns how many.
+    async fn forget_deliveries(&self, before: Millis) -> Result<u64>;
 }

@@ -25,8 +25,9 @@ use lightshaft_api::status::StateCounts;
 use lightshaft_api::worker::{NewWorker, Worker};
 
 pub use self::farm::{
-    Acceptance, BaselineKey, BaselineStore, CaseDecision, CaseJob, CaseRecord, CaseStep, DecisionQuery, OpenCase,
-    Reference, ReferenceTimes, RunQuery, RunRecord, RunStore, ScheduleStore, Step, SuiteStore,
+    Acceptance, AfterAttempt, BaselineKey, BaselineStore, CaseDecision, CaseJob, CaseRecord, CaseStep, DecisionQuery,
+    DueDelivery, OpenCase, Reference, ReferenceTimes, RunQuery, RunRecord, RunStore, ScheduleStore, Step, SuiteStore,
+    WebhookStore,
 };
 use crate::queue::{Demand, Millis, TaskCounts};
 
@@ -162,7 +163,7 @@ pub struct Idempotency {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Creation {
     Created,
-    /// The key was used before, for the same request: this job came of it.
+    /// The key was used before, for the same request: this job or run came of it.
     Repeated(String),
     /// The key was used before, for another request.
     KeyReused,
@@ -290,7 +291,7 @@ pub struct Totals {
 }
 
 #[async_trait]
-pub trait Store: SuiteStore + RunStore + BaselineStore + ScheduleStore + Send + Sync + 'static {
+pub trait Store: SuiteStore + RunStore + BaselineStore + ScheduleStore + WebhookStore + Send + Sync + 'static {
     /// Fails when nothing can be written.
     async fn check_writable(&self, now: Millis) -> Result<()>;
     async fn totals(&self) -> Result<Totals>;

@@ -5,6 +5,7 @@ mod runs;
 mod schedules;
 mod suites;
 mod times;
+mod webhooks;
 
 use std::collections::BTreeMap;
 use std::io::Cursor;

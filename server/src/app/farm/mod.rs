@@ -7,3 +7,4 @@ mod pictures;
 mod runs;
 mod schedules;
 mod suites;
+mod webhooks;

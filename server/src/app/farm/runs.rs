@@ -15,9 +15,10 @@ use serde_json::{Map, Value};
 use uuid::Uuid;
 
 use super::super::App;
+use super::super::jobs::key_reused;
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
-use crate::store::{CaseRecord, PageRequest, RunQuery, RunRecord};
+use crate::store::{CaseRecord, Creation, Idempotency, PageRequest, RunQuery, RunRecord};
 
 /// Wrong fields that one answer names at most: a suite may have a thousand cases.
 const MOST_ERRORS: usize = 32;
@@ -35,7 +36,15 @@ struct Wanted<'a> {
 }
 
 impl App {
-    pub async fn create_run(&self, new: &NewRun) -> ApiResult<Run> {
+    /// A run, and whether this call began it.
+    pub async fn create_run(&self, new: &NewRun, key: Option<&str>) -> ApiResult<(Run, bool)> {
+        let idempotency = key.map(|key| self.idempotency(key, new)).transpose()?;
+        // A repeated request is answered before anything is checked: a scene may be gone by now.
+        if let Some(idempotency) = &idempotency
+            && let Some(creation) = self.store.repeated_run(idempotency).await?
+        {
+            return self.begun(creation, "").await;
+        }
         let wanted =
             Wanted { scenes: &new.scenes, overrides: &new.overrides, cases: &new.cases, priority: new.priority };
         let (suite, cases) = self.check_run(&new.suite, &wanted, new.validate()).await?;
@@ -53,7 +62,7 @@ impl App {
             times: 1,
             cases,
         };
-        self.begin_run(&record).await
+        self.begin_run(&record, idempotency.as_ref()).await
     }
 
     pub async fn create_calibration(&self, new: &NewCalibration) -> ApiResult<Calibration> {
@@ -74,7 +83,7 @@ impl App {
             times: new.times,
             cases,
         };
-        self.begin_run(&record).await?;
+        self.begin_run(&record, None).await?;
         self.calibration(&record.id).await
     }
 
@@ -85,11 +94,22 @@ impl App {
         Ok(self.try_run(&new.suite, &wanted, new.validate()).await?.err().unwrap_or_default())
     }
 
-    async fn begin_run(&self, record: &RunRecord) -> ApiResult<Run> {
-        self.store.create_run(record, self.now()).await?;
-        tracing::info!(run.id = %record.id, kind = record.kind.as_str(), cases = record.cases.len(), "farm run begun");
-        self.changed();
-        self.run(&record.id).await
+    async fn begin_run(&self, record: &RunRecord, idempotency: Option<&Idempotency>) -> ApiResult<(Run, bool)> {
+        let creation = self.store.create_run(record, idempotency, self.now()).await?;
+        if creation == Creation::Created {
+            tracing::info!(run.id = %record.id, kind = record.kind.as_str(), cases = record.cases.len(), "farm run begun");
+            self.changed();
+        }
+        self.begun(creation, &record.id).await
+    }
+
+    async fn begun(&self, creation: Creation, id: &str) -> ApiResult<(Run, bool)> {
+        match creation {
+            Creation::Created => Ok((self.run(id).await?, true)),
+            Creation::Repeated(id) => Ok((self.run(&id).await?, false)),
+            Creation::KeyReused => Err(key_reused("run")),
+            Creation::UnknownScene => Err(ApiError::new(Code::WrongState, "a scene was deleted meanwhile")),
+        }
     }
 
     pub async fn run(&self, id: &str) -> ApiResult<Run> {

@@ -86,8 +86,8 @@ impl App {
             }
             let at = due.next_at.map(|at| at.strftime("%Y-%m-%dT%H:%MZ").to_string()).unwrap_or_default();
             let run = NewRun { label: format!("{} {at}", due.run.label), ..due.run.clone() };
-            match self.create_run(&run).await {
-                Ok(run) => {
+            match self.create_run(&run, None).await {
+                Ok((run, _)) => {
                     self.store.note_begun(&due.id, Ok(&run.summary.id)).await?;
                     begun += 1;
                 }

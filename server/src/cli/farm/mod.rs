@@ -11,7 +11,9 @@ mod history;
 mod report;
 mod run;
 mod scenes;
+mod schedule;
 mod status;
+mod webhook;
 mod words;
 
 use std::collections::BTreeMap;
@@ -30,6 +32,8 @@ pub(crate) enum Command {
     Run(Box<run::Args>),
     /// List runs, or show how one stands.
     Status(status::Args),
+    /// Cancel a run with its jobs.
+    Cancel(status::CancelArgs),
     /// Tell of a run as Markdown, JUnit XML, HTML or JSON.
     Report(report::Args),
     /// Accept the pictures and times of cases: from now on they are right.
@@ -42,6 +46,12 @@ pub(crate) enum Command {
     History(history::Args),
     /// Repeat what is unchanged, to learn how far its times scatter.
     Calibrate(Box<calibrate::Args>),
+    /// Runs that begin by the clock.
+    #[command(subcommand)]
+    Schedule(schedule::Command),
+    /// Addresses that are told of verdicts and decisions.
+    #[command(subcommand)]
+    Webhook(webhook::Command),
     /// Find the first bad commit by picture or by time, without a service.
     Bisect(bisect::Args),
 }
@@ -55,12 +65,15 @@ pub(crate) fn run(command: Command, global: &Global) -> Result<()> {
         match command {
             Command::Run(args) => run::run(&args, &client, global).await,
             Command::Status(args) => status::run(&args, &client, global).await,
+            Command::Cancel(args) => status::cancel(&args, &client, global).await,
             Command::Report(args) => report::run(&args, &client, global).await,
             Command::Approve(args) => decide::approve(&args, &client, global).await,
             Command::Reject(args) => decide::reject(&args, &client, global).await,
             Command::Reset(args) => decide::reset(&args, &client, global).await,
             Command::History(args) => history::run(&args, &client, global).await,
             Command::Calibrate(args) => calibrate::run(&args, &client, global).await,
+            Command::Schedule(command) => schedule::run(&command, &client, global).await,
+            Command::Webhook(command) => webhook::run(&command, &client, global).await,
             // Needs no service.
             Command::Bisect(args) => bisect::run(&args, global),
         }

@@ -12,6 +12,24 @@ use super::{Global, Result, bring_suite, follow, pairs, scenes, status, verdict}
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    #[command(flatten)]
+    wanted: Wanted,
+    /// Wait for the verdicts, and exit with 1 unless all is well. This is what happens when nothing is said.
+    #[arg(long, conflicts_with = "detach")]
+    wait: bool,
+    /// Only start the run.
+    #[arg(long)]
+    detach: bool,
+    /// Repeating the command with the same key within 24 hours gives the run that it began first.
+    #[arg(long, value_name = "KEY")]
+    idempotency_key: Option<String>,
+    #[command(flatten)]
+    files: Files,
+}
+
+/// Which run: of what, at which label, against what.
+#[derive(Debug, clap::Args)]
+pub(super) struct Wanted {
     /// The suite's TOML file.
     suite: PathBuf,
     /// What is judged: most often a commit.
@@ -23,12 +41,6 @@ pub(crate) struct Args {
     /// What it is judged against.
     #[arg(long, default_value = DEFAULT_BASELINE)]
     baseline: String,
-    /// Wait for the verdicts, and exit with 1 unless all is well. This is what happens when nothing is said.
-    #[arg(long, conflicts_with = "detach")]
-    wait: bool,
-    /// Only start the run.
-    #[arg(long)]
-    detach: bool,
     /// A setting that goes before those of every case; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -41,30 +53,35 @@ pub(crate) struct Args {
     /// -100 to 100; higher runs first.
     #[arg(long, default_value_t = 0, allow_hyphen_values = true)]
     priority: i32,
-    #[command(flatten)]
-    files: Files,
+}
+
+impl Wanted {
+    /// The run as the service takes it, which has the suite and the scenes then.
+    pub(super) async fn bring(&self, client: &Client) -> Result<NewRun> {
+        let mut overrides = Map::new();
+        for assignment in &self.set {
+            put_setting("--set", &mut overrides, assignment)?;
+        }
+        let given = pairs("--scene", &self.scenes)?;
+        let labels = pairs("--tag", &self.tags)?;
+        let (suite, known) = bring_suite(client, &self.suite).await?;
+        let folder = self.suite.parent().unwrap_or(Path::new(""));
+        let scenes = scenes::bring(client, &suite, folder, &given).await?;
+        Ok(NewRun {
+            labels,
+            scenes,
+            baseline: self.baseline.clone(),
+            overrides: SettingsPatch(overrides),
+            cases: self.cases.clone(),
+            priority: self.priority,
+            ..NewRun::new(known.id, self.label.clone())
+        })
+    }
 }
 
 pub(super) async fn run(args: &Args, client: &Client, global: &Global) -> Result<()> {
-    let mut overrides = Map::new();
-    for assignment in &args.set {
-        put_setting("--set", &mut overrides, assignment)?;
-    }
-    let given = pairs("--scene", &args.scenes)?;
-    let labels = pairs("--tag", &args.tags)?;
-    let (suite, known) = bring_suite(client, &args.suite).await?;
-    let folder = args.suite.parent().unwrap_or(Path::new(""));
-    let scenes = scenes::bring(client, &suite, folder, &given).await?;
-    let new = NewRun {
-        labels,
-        scenes,
-        baseline: args.baseline.clone(),
-        overrides: SettingsPatch(overrides),
-        cases: args.cases.clone(),
-        priority: args.priority,
-        ..NewRun::new(known.id, args.label.clone())
-    };
-    let run = client.create_run(&new).await?;
+    let new = args.wanted.bring(client).await?;
+    let run = client.create_run(&new, args.idempotency_key.as_deref()).await?;
     if args.detach {
         return status::print(&run, client, global);
     }

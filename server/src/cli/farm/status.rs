@@ -1,4 +1,4 @@
-//! `lightshaft farm status`
+//! `lightshaft farm status` and `cancel`
 
 use lightshaft_api::client::{Client, RunFilter};
 use lightshaft_api::farm::{Run, RunSummary};
@@ -16,6 +16,17 @@ pub(crate) struct Args {
     /// At most so many.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=200))]
     limit: u32,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct CancelArgs {
+    /// A run's id, or its label for the newest run at it.
+    run: String,
+}
+
+pub(super) async fn cancel(args: &CancelArgs, client: &Client, global: &Global) -> Result<()> {
+    let run = find_run(client, &args.run).await?.summary.id;
+    print(&client.cancel_run(&run).await?, client, global)
 }
 
 pub(super) async fn run(args: &Args, client: &Client, global: &Global) -> Result<()> {

@@ -4,6 +4,7 @@ pub(super) mod decisions;
 pub(super) mod runs;
 pub(super) mod schedules;
 pub(super) mod suites;
+pub(super) mod webhooks;
 
 use crate::error::{ApiError, ApiResult};
 

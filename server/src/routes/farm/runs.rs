@@ -2,7 +2,7 @@
 
 use axum::Json as Reply;
 use axum::extract::State;
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use http::{HeaderMap, StatusCode, header};
 use lightshaft_api::farm::{
     Calibration, DEFAULT_BASELINE, History, NewCalibration, NewRun, Run, RunKind, RunState, RunSummary,
@@ -16,25 +16,36 @@ use super::choice;
 use crate::app::Shared;
 use crate::error::{ApiError, ApiResult};
 use crate::store::{PageRequest, RunQuery};
-use crate::web::body::{Id, Json, PageParams, Params, ThreeIds};
+use crate::web::body::{Id, IdempotencyKey, Json, PageParams, Params, ThreeIds};
 use crate::web::file::{self, Binary};
 use crate::web::page::page;
 
-type Made<T> = (StatusCode, [(header::HeaderName, String); 1], Reply<T>);
+/// What was made, and where it is.
+pub(super) type Made<T> = (StatusCode, [(header::HeaderName, String); 1], Reply<T>);
 
 /// Begins a run of a suite at a label. Its cases become jobs with the labels `farm_run`, `farm_case`, `farm_phase` and
-/// `farm_repetition`.
+/// `farm_repetition`. With an `Idempotency-Key`, repeating the request within 24 hours answers 200 with the run begun first,
+/// and another request under the same key is refused.
 #[utoipa::path(
     post, path = "/v1/farm/runs", tag = "farm", request_body = NewRun,
+    params(("Idempotency-Key" = Option<String>, Header, description = "1 to 255 visible ASCII characters")),
     responses(
         (status = 201, description = "Begun", body = Run),
+        (status = 200, description = "Begun before under this key", body = Run),
         (status = "default", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub(in crate::routes) async fn create_run(State(app): State<Shared>, Json(new): Json<NewRun>) -> ApiResult<Made<Run>> {
-    let run = app.create_run(&new).await?;
+pub(in crate::routes) async fn create_run(
+    State(app): State<Shared>,
+    IdempotencyKey(key): IdempotencyKey,
+    Json(new): Json<NewRun>,
+) -> ApiResult<Response> {
+    let (run, is_new) = app.create_run(&new, key.as_deref()).await?;
+    if !is_new {
+        return Ok(Reply::<Run>(run).into_response());
+    }
     let location = [(header::LOCATION, format!("/v1/farm/runs/{}", run.summary.id))];
-    Ok((StatusCode::CREATED, location, Reply(run)))
+    Ok((StatusCode::CREATED, location, Reply::<Run>(run)).into_response())
 }
 
 #[derive(Debug, Deserialize, IntoParams)]

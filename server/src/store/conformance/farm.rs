@@ -60,7 +60,7 @@ async fn run(farm: &Farm) -> String {
         times: 1,
         cases: vec![case("a"), case("b")],
     };
-    farm.store.create_run(&record, farm.now()).await.unwrap();
+    farm.store.create_run(&record, None, farm.now()).await.unwrap();
     record.id
 }
 

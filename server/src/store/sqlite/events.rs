@@ -47,11 +47,13 @@ impl SqliteStore {
     }
 
     pub(super) async fn do_forget_before(&self, keys: Millis, events: Millis) -> Result<u64> {
-        let old_keys = sqlx::query("DELETE FROM idempotency WHERE created_at < $1")
-            .bind(keys)
-            .execute(&self.writer)
-            .await
-            .map_err(context("forgetting idempotency keys"))?;
+        let mut forgotten = 0;
+        for statement in
+            ["DELETE FROM idempotency WHERE created_at < $1", "DELETE FROM farm_idempotency WHERE created_at < $1"]
+        {
+            let keys = sqlx::query(statement).bind(keys).execute(&self.writer);
+            forgotten += keys.await.map_err(context("forgetting idempotency keys"))?.rows_affected();
+        }
         let old_events =
             sqlx::query("DELETE FROM event WHERE id IN (SELECT id FROM event WHERE at < $1 ORDER BY at LIMIT $2)")
                 .bind(events)
@@ -59,6 +61,6 @@ impl SqliteStore {
                 .execute(&self.writer)
                 .await
                 .map_err(context("forgetting events"))?;
-        Ok(old_keys.rows_affected() + old_events.rows_affected())
+        Ok(forgotten + old_events.rows_affected())
     }
 }

@@ -8,6 +8,7 @@ use sqlx::{FromRow, SqliteExecutor};
 use uuid::Uuid;
 
 use super::events::emit;
+use super::idempotency::OF_JOBS;
 use super::{SqliteStore, Tx, commit, context, from_name, signed, to_json};
 use crate::queue::{Demand, Millis, TaskCounts, job_state};
 use crate::store::{Change, Creation, Idempotency, JobRecord, Result};
@@ -27,7 +28,7 @@ impl SqliteStore {
     ) -> Result<Creation> {
         let mut tx = self.begin().await?;
         if let Some(idempotency) = idempotency
-            && let Some(creation) = repeated(&mut tx, idempotency).await?
+            && let Some(creation) = OF_JOBS.repeated(&mut tx, idempotency).await?
         {
             return Ok(creation);
         }
@@ -44,17 +45,7 @@ impl SqliteStore {
                 .map_err(context("noting a scene's thumbnail"))?;
         }
         if let Some(idempotency) = idempotency {
-            sqlx::query(
-                "INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES ($1, $2, $3, $4)
-                 ON CONFLICT (key) DO UPDATE SET fingerprint = $2, job_id = $3, created_at = $4",
-            )
-            .bind(&idempotency.key)
-            .bind(&idempotency.fingerprint)
-            .bind(&job.id)
-            .bind(now)
-            .execute(&mut *tx)
-            .await
-            .map_err(context("keeping an idempotency key"))?;
+            OF_JOBS.keep(&mut tx, idempotency, &job.id, now).await?;
         }
         commit(tx).await?;
         Ok(Creation::Created)
@@ -62,7 +53,7 @@ impl SqliteStore {
 
     pub(super) async fn read_repeated_job(&self, idempotency: &Idempotency) -> Result<Option<Creation>> {
         let mut tx = self.readers.begin().await.map_err(context("beginning to read"))?;
-        repeated(&mut tx, idempotency).await
+        OF_JOBS.repeated(&mut tx, idempotency).await
     }
 
     pub(super) async fn do_cancel_job(&self, id: &str, now: Millis) -> Result<Change> {
@@ -163,21 +154,6 @@ impl SqliteStore {
         commit(tx).await?;
         Ok(Change::Done)
     }
-}
-
-async fn repeated(tx: &mut Tx, idempotency: &Idempotency) -> Result<Option<Creation>> {
-    let known: Option<(String, String)> =
-        sqlx::query_as("SELECT fingerprint, job_id FROM idempotency WHERE key = $1 AND created_at >= $2")
-            .bind(&idempotency.key)
-            .bind(idempotency.not_before)
-            .fetch_optional(&mut **tx)
-            .await
-            .map_err(context("looking up an idempotency key"))?;
-    Ok(known.map(
-        |(fingerprint, job)| {
-            if fingerprint == idempotency.fingerprint { Creation::Repeated(job) } else { Creation::KeyReused }
-        },
-    ))
 }
 
 /// A job with its tasks, and the event that tells of it.

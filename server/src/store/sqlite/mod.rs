@@ -9,6 +9,7 @@ mod close;
 mod demand;
 mod events;
 mod farm;
+mod idempotency;
 mod jobs;
 mod measurements;
 mod meshes;

@@ -1,6 +1,7 @@
 //! `/v1/farm/runs`: how a picture is judged, and how a run goes on.
 
-use http::StatusCode;
+use axum::body::Body;
+use http::{Method, StatusCode};
 use lightshaft_api::farm::{CaseState, FarmJobPhase, ImageVerdict, Run, RunState, RunSummary};
 use lightshaft_api::job::JobState;
 use lightshaft_api::page::Page;
@@ -197,4 +198,24 @@ async fn runs_are_listed_by_what_they_are() {
     assert!(list("?suite=other").await.is_empty() && list("?kind=calibration").await.is_empty());
     let wrong = farm.service.get("/v1/farm/runs?state=red").await;
     assert_eq!((wrong.status, wrong.pointers()), (StatusCode::BAD_REQUEST, vec!["query/state".to_owned()]));
+}
+
+#[tokio::test]
+async fn an_idempotency_key_begins_one_run() {
+    let farm = Farm::start().await;
+    let suite = farm.suite(SUITE).await;
+    let body =
+        |label: &str| json!({ "suite": suite, "label": label, "scenes": { "triangle": farm.scene } }).to_string();
+    let begin = async |key: &str, label: &str| {
+        let headers = [("content-type", "application/json"), ("idempotency-key", key)];
+        farm.service.request(Method::POST, "/v1/farm/runs", &headers, Body::from(body(label))).await
+    };
+    let (first, second) = (begin("key", "one").await, begin("key", "one").await);
+    assert_eq!((first.status, second.status), (StatusCode::CREATED, StatusCode::OK));
+    assert_eq!(first.json::<Run>().summary.id, second.json::<Run>().summary.id);
+    let other = begin("key", "two").await;
+    assert_eq!((other.status, other.problem().code()), (StatusCode::UNPROCESSABLE_ENTITY, "idempotency-key-reused"));
+    assert_eq!(begin("a b", "one").await.pointers(), ["header/idempotency-key"]);
+    farm.service.clock.advance(24 * 3_600_000 + 1);
+    assert_eq!(begin("key", "one").await.status, StatusCode::CREATED, "forgotten after a day");
 }

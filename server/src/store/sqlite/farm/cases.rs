@@ -6,6 +6,7 @@ use lightshaft_api::farm::{CaseState, FarmJob};
 use sqlx::FromRow;
 
 use super::runs::cancel_jobs;
+use super::webhooks::tell_of_case;
 use crate::queue::Millis;
 use crate::store::sqlite::jobs::{add_job, is_scene_there};
 use crate::store::sqlite::{SqliteStore, Tx, commit, context, from_json, from_name, signed, to_json};
@@ -153,7 +154,8 @@ impl SqliteStore {
         }
         keep_findings(&mut tx, case, step, now).await?;
         if matches!(step.state, Some(CaseState::Finished)) {
-            finish_run(&mut tx, &case.run, now).await?;
+            let run_has_ended = finish_run(&mut tx, &case.run, now).await?;
+            tell_of_case(&mut tx, case, step, run_has_ended, now).await?;
         }
         commit(tx).await?;
         Ok(Step::Done)
@@ -205,9 +207,9 @@ async fn keep_findings(tx: &mut Tx, case: &OpenCase, step: &CaseStep, now: Milli
     Ok(())
 }
 
-/// With the last of its cases a run ends.
-async fn finish_run(tx: &mut Tx, run: &str, now: Millis) -> Result<()> {
-    sqlx::query(
+/// With the last of its cases a run ends; whether it has now.
+async fn finish_run(tx: &mut Tx, run: &str, now: Millis) -> Result<bool> {
+    let ended = sqlx::query(
         "UPDATE farm_run SET state = 'finished', finished_at = $2
          WHERE id = $1 AND state = 'running'
            AND NOT EXISTS (SELECT 1 FROM farm_case WHERE run_id = $1 AND state IN ('rendering', 'confirming'))",
@@ -217,5 +219,5 @@ async fn finish_run(tx: &mut Tx, run: &str, now: Millis) -> Result<()> {
     .execute(&mut **tx)
     .await
     .map_err(context("ending a run"))?;
-    Ok(())
+    Ok(ended.rows_affected() > 0)
 }

@@ -7,6 +7,7 @@ use lightshaft_api::job::Artifact;
 use sqlx::{FromRow, QueryBuilder, SqliteExecutor};
 use uuid::Uuid;
 
+use super::webhooks::tell_of_decision;
 use crate::queue::Millis;
 use crate::store::sqlite::{SqliteStore, Tx, commit, context, from_name, signed, timestamp, to_json};
 use crate::store::{Acceptance, CaseDecision, DecisionQuery, PageRequest, Result};
@@ -110,6 +111,7 @@ impl SqliteStore {
     }
 }
 
+/// Keeps a decision, and tells of it.
 pub(super) async fn insert_decision(tx: &mut Tx, decision: &Decision) -> Result<()> {
     sqlx::query(
         "INSERT INTO farm_decision (id, kind, who, why, at, baseline, suite_name, case_name, device_class, run_id, label,
@@ -131,7 +133,7 @@ pub(super) async fn insert_decision(tx: &mut Tx, decision: &Decision) -> Result<
     .execute(&mut **tx)
     .await
     .map_err(context("keeping a decision"))?;
-    Ok(())
+    tell_of_decision(tx, decision).await
 }
 
 /// What an approval of the same case of the same run accepted is accepted no longer.

@@ -7,3 +7,4 @@ mod history;
 mod runs;
 mod schedules;
 mod suites;
+mod webhooks;

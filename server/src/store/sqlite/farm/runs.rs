@@ -9,9 +9,12 @@ use sqlx::{FromRow, QueryBuilder, Sqlite};
 
 use super::decisions::read_decisions_of_run;
 use crate::queue::Millis;
+use crate::store::sqlite::idempotency::OF_RUNS;
 use crate::store::sqlite::jobs::cancel_open_job;
 use crate::store::sqlite::{SqliteStore, Tx, commit, context, from_json, from_name, signed, timestamp, to_json};
-use crate::store::{CaseRecord, CaseStep, OpenCase, PageRequest, Result, RunQuery, RunRecord, RunStore, Step};
+use crate::store::{
+    CaseRecord, CaseStep, Creation, Idempotency, OpenCase, PageRequest, Result, RunQuery, RunRecord, RunStore, Step,
+};
 
 const SUMMARIES: &str =
     "SELECT r.id, r.kind, r.suite_id, r.suite_name, r.label, r.labels, r.baseline, r.state, r.created_at,
@@ -124,8 +127,13 @@ struct ArtifactRow {
 
 #[async_trait]
 impl RunStore for SqliteStore {
-    async fn create_run(&self, run: &RunRecord, now: Millis) -> Result<()> {
+    async fn create_run(&self, run: &RunRecord, idempotency: Option<&Idempotency>, now: Millis) -> Result<Creation> {
         let mut tx = self.begin().await?;
+        if let Some(idempotency) = idempotency
+            && let Some(creation) = OF_RUNS.repeated(&mut tx, idempotency).await?
+        {
+            return Ok(creation);
+        }
         sqlx::query(
             "INSERT INTO farm_run (id, kind, suite_id, suite_name, label, labels, baseline, scenes, overrides, priority,
                                    times, state, created_at)
@@ -149,7 +157,16 @@ impl RunStore for SqliteStore {
         for (position, case) in run.cases.iter().enumerate() {
             insert_case(&mut tx, &run.id, position, case).await?;
         }
-        commit(tx).await
+        if let Some(idempotency) = idempotency {
+            OF_RUNS.keep(&mut tx, idempotency, &run.id, now).await?;
+        }
+        commit(tx).await?;
+        Ok(Creation::Created)
+    }
+
+    async fn repeated_run(&self, idempotency: &Idempotency) -> Result<Option<Creation>> {
+        let mut tx = self.readers.begin().await.map_err(context("beginning to read"))?;
+        OF_RUNS.repeated(&mut tx, idempotency).await
     }
 
     async fn run(&self, id: &str) -> Result<Option<Run>> {
@@ -266,6 +283,15 @@ pub(super) async fn cancel_jobs(tx: &mut Tx, run: &str, case: Option<&str>, now:
         cancel_open_job(tx, &job, now).await?;
     }
     Ok(())
+}
+
+/// A run as it is inside a transaction.
+pub(super) async fn read_summary(tx: &mut Tx, id: &str) -> Result<RunSummary> {
+    let mut statement = QueryBuilder::new(SUMMARIES);
+    statement.push(" AND r.id = ").push_bind(id).push(" GROUP BY r.id");
+    let row: RunRow =
+        statement.build_query_as().fetch_one(&mut **tx).await.map_err(context("reading a run that has ended"))?;
+    row.summary()
 }
 
 fn push_conditions(statement: &mut QueryBuilder<Sqlite>, query: &RunQuery, page: &PageRequest) {
