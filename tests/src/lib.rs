@@ -9,6 +9,7 @@ pub mod glb;
 pub mod picture;
 pub mod process;
 pub mod proxy;
+pub mod receiver;
 pub mod service;
 
 pub use proxy::Proxy;

@@ -18,33 +18,38 @@ const SUITE: &str = r#"
     time = { max_ratio = 3 }
 "#;
 
-struct Farm {
-    service: Service,
+/// A service with a worker, the demo scene, and a suite of one case.
+pub(crate) struct Farm {
+    pub(crate) service: Service,
     suite: String,
     scene: String,
 }
 
 impl Farm {
-    async fn start() -> Self {
+    pub(crate) async fn start(suite: &str) -> Self {
         let service = Service::start_with(&["--no-thumbnails"]);
         let scene = service.generated(&["demo"]).await;
         let request = service.request(Method::POST, "/v1/farm/suites").header("content-type", "application/toml");
-        let reply = service.send(request.body(SUITE)).await;
+        let reply = service.send(request.body(suite.to_owned())).await;
         assert_eq!(reply.status, 201, "{}", reply.text());
         let suite = reply.json()["id"].as_str().expect("a suite has an id").to_owned();
         Self { service, suite, scene }
     }
 
-    async fn begin(&self, label: &str, overrides: &Value) -> String {
-        let body = json!({
-            "suite": self.suite, "label": label, "scenes": { "demo": self.scene }, "overrides": overrides,
-        });
-        let reply = self.service.post("/v1/farm/runs", &body).await;
+    pub(crate) async fn begin(&self, label: &str, overrides: &Value) -> String {
+        self.begin_at("/v1/farm/runs", label, &json!({ "overrides": overrides })).await
+    }
+
+    pub(crate) async fn begin_at(&self, path: &str, label: &str, more: &Value) -> String {
+        let mut body = json!({ "suite": self.suite, "label": label, "scenes": { "demo": self.scene } });
+        let fields = body.as_object_mut().expect("an object");
+        fields.extend(more.as_object().expect("an object").clone());
+        let reply = self.service.post(path, &body).await;
         assert_eq!(reply.status, 201, "{}", reply.text());
         reply.json()["id"].as_str().expect("a run has an id").to_owned()
     }
 
-    async fn finished(&self, run: &str) -> Value {
+    pub(crate) async fn finished(&self, run: &str) -> Value {
         self.service
             .until("the run to finish", async || {
                 let run = self.service.get(&format!("/v1/farm/runs/{run}")).await.json();
@@ -53,11 +58,11 @@ impl Farm {
             .await
     }
 
-    async fn run(&self, label: &str, overrides: Value) -> Value {
+    pub(crate) async fn run(&self, label: &str, overrides: Value) -> Value {
         self.finished(&self.begin(label, &overrides).await).await
     }
 
-    async fn approve(&self, run: &Value, why: &str) {
+    pub(crate) async fn approve(&self, run: &Value, why: &str) {
         let path = format!("/v1/farm/runs/{}/approve", run["id"].as_str().expect("an id"));
         let reply = self.service.post(&path, &json!({ "who": "Ada", "why": why })).await;
         assert_eq!(reply.status, 200, "{}", reply.text());
@@ -67,7 +72,7 @@ impl Farm {
 
 #[tokio::test]
 async fn what_breaks_is_found_and_what_is_meant_is_approved() {
-    let farm = Farm::start().await;
+    let farm = Farm::start(SUITE).await;
     let base = farm.run("base", json!({})).await;
     assert_eq!((&base["ok"], &base["cases"][0]["image"]["verdict"]), (&json!(false), &json!("missing")), "{base:#}");
     farm.approve(&base, "first pictures").await;
@@ -111,7 +116,7 @@ async fn what_breaks_is_found_and_what_is_meant_is_approved() {
 
 #[tokio::test]
 async fn a_run_goes_on_after_the_service_was_killed() {
-    let mut farm = Farm::start().await;
+    let mut farm = Farm::start(SUITE).await;
     let run = farm.begin("base", &json!({ "spp": 256 })).await;
     farm.service
         .until("a sample to be made", async || {
