@@ -85,8 +85,9 @@ test-python: compiler test-tools ## The Python client: lints, types, and its tes
 	echo '== python'
 	cd api/python
 	tools=$(CURDIR)/$(PYTHON)/bin
-	"$$tools/ruff" check
-	"$$tools/ruff" format --check
+	python=". ../../worker/compare/tests"
+	"$$tools/ruff" check --config pyproject.toml $$python
+	"$$tools/ruff" format --check --config pyproject.toml $$python
 	"$$tools/mypy"
 	"$$tools/python" -m pytest
 

@@ -28,6 +28,7 @@ INPUTS = ["BenchmarkSettings", "BuildSettings", "RenderSettings"]
 OUTPUTS = [
     "Baseline",
     "Calibration",
+    "Compared",
     "Decision",
     "Event",
     "FieldError",
@@ -38,11 +39,14 @@ OUTPUTS = [
     "Run",
     "RunSummary",
     "Scene",
+    "Schedule",
     "Status",
     "StoredBlob",
     "Suite",
     "SuiteSummary",
     "ValidatedJob",
+    "Webhook",
+    "WebhookDelivery",
     "Worker",
 ]
 

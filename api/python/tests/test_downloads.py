@@ -85,3 +85,13 @@ def test_without_its_packages_a_picture_says_what_to_install(
     with pytest.raises(MissingExtraError, match=r"pip install 'lightshaft\[pictures\]'") as missing:
         client.picture(rendered)
     assert missing.value.extra == "pictures"
+
+
+def test_pictures_of_jobs_are_compared(client: Client, scene: Scene) -> None:
+    settings = {"width": 24, "height": 24, "spp": 1, "seed": 1}
+    jobs = [client.wait(client.submit(scene, settings | {"seed": seed})) for seed in (1, 2)]
+    same = client.compare(jobs[0], jobs[0], max_rmse=0.0)
+    assert (same.passed, same.flip_mean, same.hdr_flip) == (True, 0.0, None)
+    other = client.compare(jobs[0], jobs[1].id, hdr=True, max_flip=0.0)
+    assert other.hdr_flip is not None
+    assert (other.passed, other.hdr_flip.mean > 0) == (False, True)

@@ -119,3 +119,38 @@ def test_what_is_wrong_is_named(client: Client, suite: Suite, scene: Scene, tmp_
     with pytest.raises(WaitTimeoutError, match=slow.id):
         client.wait_for_run(slow, timeout_s=0.2)
     assert client.cancel_run(slow).state == "cancelled"
+
+
+def test_a_key_begins_one_run(client: Client, suite: Suite, scene: Scene) -> None:
+    key = suite.id
+    first = client.start_run(suite, "one", scenes={"box": scene}, idempotency_key=key)
+    assert client.start_run(suite, "one", scenes={"box": scene}, idempotency_key=key).id == first.id
+    with pytest.raises(InvalidRequestError):
+        client.start_run(suite, "two", scenes={"box": scene}, idempotency_key=key)
+    client.cancel_run(first)
+
+
+def test_schedules_are_added_and_deleted(client: Client, suite: Suite, scene: Scene, flavour: str) -> None:
+    schedule = client.add_schedule(f"nightly {flavour}", "30 2 * * 1-5", suite, "nightly", scenes={"box": scene})
+    assert (schedule.next_at is not None, schedule.run.suite) == (True, suite.id)
+    assert schedule in client.schedules()
+    client.delete_schedule(schedule.id)
+    assert schedule not in client.schedules()
+
+
+def test_webhooks_are_told_of_what_they_asked_for(client: Client, suite: Suite, scene: Scene) -> None:
+    secret = "correct horse battery staple"
+    with pytest.raises(InvalidRequestError, match="/url"):
+        client.add_webhook("http://127.0.0.1:9/", secret=secret)
+    # Nobody can have this name (RFC 6761).
+    webhook = client.add_webhook("https://nobody.invalid/", secret=secret, events=["run.finished"], suite=suite.name)
+    assert webhook in client.webhooks()
+    run = _run(client, suite, scene, "told")
+    (delivery,) = client.deliveries(webhook.id).items
+    assert (delivery.state, delivery.message.type) == ("waiting", "run.finished")
+    assert isinstance(delivery.message.data, dict)
+    assert delivery.message.data["id"] == run.id
+    assert client.webhook(webhook.id).waiting == 1
+    client.delete_webhook(webhook.id)
+    with pytest.raises(NotFoundError):
+        client.deliveries(webhook.id)

@@ -11,10 +11,11 @@ from ._api.farm import Farm
 from ._api.jobs import Jobs
 from ._api.scenes import Scenes
 from ._api.service import Service
+from ._api.webhooks import Webhooks
 from ._io import AsyncIo, Connection
 
 
-class Calls(Scenes, Jobs, Artifacts, Farm, Service):
+class Calls(Scenes, Jobs, Artifacts, Farm, Webhooks, Service):
     """Every call, over any `Io`."""
 
     async def close(self) -> None:

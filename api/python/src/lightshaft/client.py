@@ -2,40 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Self
 
-from ._api.jobs import Settings
-from ._download import OnReceived
-from ._farm_client import FarmClient, documented_as
-from ._io import Connection, SyncIo, iterate, run
-from ._page import Page
-from ._upload import OnSent
-from ._wait import OnEvent, OnProgress
-from .async_client import AsyncClient, Calls
-from .models import (
-    Artifact,
-    Event,
-    Job,
-    JobKind,
-    JobState,
-    JobSummary,
-    Mesh,
-    Scene,
-    SceneSummary,
-    Status,
-    StoredBlob,
-    Worker,
-)
-
-if TYPE_CHECKING:
-    from ._pictures import Array
+from ._blocking import blocking, iterating
+from ._io import Connection, SyncIo, run
+from .async_client import Calls
 
 
-class Client(FarmClient):
+class Client:
     """A Lightshaft service at one address. Connections are kept; `with` closes them. Threads may share a client."""
 
     def __init__(
@@ -75,230 +51,77 @@ class Client(FarmClient):
 
     # Scenes
 
-    @documented_as(AsyncClient.upload_scene)
-    def upload_scene(
-        self, path: str | os.PathLike[str], *, name: str | None = None, on_sent: OnSent | None = None
-    ) -> Scene:
-        return run(self._calls.upload_scene(path, name=name, on_sent=on_sent))
-
-    @documented_as(AsyncClient.validate_scene)
-    def validate_scene(self, path: str | os.PathLike[str]) -> SceneSummary:
-        return run(self._calls.validate_scene(path))
-
-    @documented_as(AsyncClient.scene)
-    def scene(self, scene: str) -> Scene:
-        return run(self._calls.scene(scene))
-
-    @documented_as(AsyncClient.scenes)
-    def scenes(self, *, limit: int | None = None, cursor: str | None = None) -> Page[Scene]:
-        return run(self._calls.scenes(limit=limit, cursor=cursor))
-
-    @documented_as(AsyncClient.iterate_scenes)
-    def iterate_scenes(self) -> Iterator[Scene]:
-        return iterate(self._calls.iterate_scenes())
-
-    @documented_as(AsyncClient.delete_scene)
-    def delete_scene(self, scene: str) -> None:
-        return run(self._calls.delete_scene(scene))
-
-    @documented_as(AsyncClient.thumbnail)
-    def thumbnail(self, scene: str) -> bytes:
-        return run(self._calls.thumbnail(scene))
+    upload_scene = blocking(Calls.upload_scene)
+    validate_scene = blocking(Calls.validate_scene)
+    scene = blocking(Calls.scene)
+    scenes = blocking(Calls.scenes)
+    iterate_scenes = iterating(Calls.iterate_scenes)
+    delete_scene = blocking(Calls.delete_scene)
+    thumbnail = blocking(Calls.thumbnail)
 
     # Jobs
 
-    @documented_as(AsyncClient.submit)
-    def submit(
-        self,
-        scene: str | Scene,
-        settings: Settings | None = None,
-        *,
-        kind: JobKind | None = None,
-        priority: int = 0,
-        labels: Mapping[str, str] | None = None,
-        max_attempts: int | None = None,
-        idempotency_key: str | None = None,
-    ) -> Job:
-        return run(
-            self._calls.submit(
-                scene,
-                settings,
-                kind=kind,
-                priority=priority,
-                labels=labels,
-                max_attempts=max_attempts,
-                idempotency_key=idempotency_key,
-            )
-        )
-
-    @documented_as(AsyncClient.validate_job)
-    def validate_job(
-        self, scene: str | Scene, settings: Settings | None = None, *, kind: JobKind | None = None
-    ) -> dict[str, Any]:
-        return run(self._calls.validate_job(scene, settings, kind=kind))
-
-    @documented_as(AsyncClient.job)
-    def job(self, job: str) -> Job:
-        return run(self._calls.job(job))
-
-    @documented_as(AsyncClient.jobs)
-    def jobs(
-        self,
-        *,
-        state: JobState | None = None,
-        kind: JobKind | None = None,
-        scene: str | None = None,
-        q: str | None = None,
-        automatic: bool | None = None,
-        labels: Mapping[str, str] | None = None,
-        limit: int | None = None,
-        cursor: str | None = None,
-    ) -> Page[JobSummary]:
-        return run(
-            self._calls.jobs(
-                state=state,
-                kind=kind,
-                scene=scene,
-                q=q,
-                automatic=automatic,
-                labels=labels,
-                limit=limit,
-                cursor=cursor,
-            )
-        )
-
-    @documented_as(AsyncClient.iterate_jobs)
-    def iterate_jobs(
-        self,
-        *,
-        state: JobState | None = None,
-        kind: JobKind | None = None,
-        scene: str | None = None,
-        q: str | None = None,
-        automatic: bool | None = None,
-        labels: Mapping[str, str] | None = None,
-    ) -> Iterator[JobSummary]:
-        return iterate(
-            self._calls.iterate_jobs(state=state, kind=kind, scene=scene, q=q, automatic=automatic, labels=labels)
-        )
-
-    @documented_as(AsyncClient.wait)
-    def wait(
-        self,
-        job: str | Job,
-        *,
-        timeout_s: float | None = None,
-        patience_s: float = 60.0,
-        on_progress: OnProgress | None = None,
-        on_event: OnEvent | None = None,
-        check: bool = True,
-    ) -> Job:
-        return run(
-            self._calls.wait(
-                job,
-                timeout_s=timeout_s,
-                patience_s=patience_s,
-                on_progress=on_progress,
-                on_event=on_event,
-                check=check,
-            )
-        )
-
-    @documented_as(AsyncClient.events)
-    def events(self, job: str | Job | None = None, *, last_event_id: int | None = None) -> Iterator[Event]:
-        return iterate(self._calls.events(job, last_event_id=last_event_id))
-
-    @documented_as(AsyncClient.cancel)
-    def cancel(self, job: str | Job) -> Job:
-        return run(self._calls.cancel(job))
-
-    @documented_as(AsyncClient.retry)
-    def retry(self, job: str | Job) -> Job:
-        return run(self._calls.retry(job))
-
-    @documented_as(AsyncClient.change_job)
-    def change_job(self, job: str | Job, *, priority: int | None = None, paused: bool | None = None) -> Job:
-        return run(self._calls.change_job(job, priority=priority, paused=paused))
-
-    @documented_as(AsyncClient.delete_job)
-    def delete_job(self, job: str | Job) -> None:
-        return run(self._calls.delete_job(job))
-
-    @documented_as(AsyncClient.log)
-    def log(self, job: str | Job, *, attempt: str | None = None) -> str:
-        return run(self._calls.log(job, attempt=attempt))
-
-    @documented_as(AsyncClient.preview)
-    def preview(self, job: str | Job) -> bytes:
-        return run(self._calls.preview(job))
+    submit = blocking(Calls.submit)
+    validate_job = blocking(Calls.validate_job)
+    job = blocking(Calls.job)
+    jobs = blocking(Calls.jobs)
+    iterate_jobs = iterating(Calls.iterate_jobs)
+    wait = blocking(Calls.wait)
+    events = iterating(Calls.events)
+    cancel = blocking(Calls.cancel)
+    retry = blocking(Calls.retry)
+    change_job = blocking(Calls.change_job)
+    delete_job = blocking(Calls.delete_job)
+    log = blocking(Calls.log)
+    preview = blocking(Calls.preview)
 
     # Artifacts
 
-    @documented_as(AsyncClient.artifact)
-    def artifact(self, job: str | Job, name: str = "image.png") -> bytes:
-        return run(self._calls.artifact(job, name))
-
-    @documented_as(AsyncClient.download)
-    def download(
-        self,
-        job: str | Job,
-        name: str = "image.png",
-        path: str | os.PathLike[str] | None = None,
-        *,
-        on_received: OnReceived | None = None,
-    ) -> Path:
-        return run(self._calls.download(job, name, path, on_received=on_received))
-
-    @documented_as(AsyncClient.download_all)
-    def download_all(self, job: str | Job, folder: str | os.PathLike[str]) -> list[Path]:
-        return run(self._calls.download_all(job, folder))
-
-    @documented_as(AsyncClient.artifacts)
-    def artifacts(self, job: str | Job) -> list[Artifact]:
-        return run(self._calls.artifacts(job))
-
-    @documented_as(AsyncClient.picture)
-    def picture(self, job: str | Job, name: str = "image.exr", *, layer: str | None = None) -> Array:
-        return run(self._calls.picture(job, name, layer=layer))
-
-    @documented_as(AsyncClient.layers)
-    def layers(self, job: str | Job, name: str = "image.exr") -> dict[str, Array]:
-        return run(self._calls.layers(job, name))
+    artifact = blocking(Calls.artifact)
+    download = blocking(Calls.download)
+    download_all = blocking(Calls.download_all)
+    artifacts = blocking(Calls.artifacts)
+    picture = blocking(Calls.picture)
+    layers = blocking(Calls.layers)
+    compare = blocking(Calls.compare)
 
     # Service
 
-    @documented_as(AsyncClient.store_blob)
-    def store_blob(self, path: str | os.PathLike[str], *, on_sent: OnSent | None = None) -> StoredBlob:
-        return run(self._calls.store_blob(path, on_sent=on_sent))
+    store_blob = blocking(Calls.store_blob)
+    mesh = blocking(Calls.mesh)
+    meshes = blocking(Calls.meshes)
+    iterate_meshes = iterating(Calls.iterate_meshes)
+    workers = blocking(Calls.workers)
+    worker = blocking(Calls.worker)
+    drain_worker = blocking(Calls.drain_worker)
+    undrain_worker = blocking(Calls.undrain_worker)
+    status = blocking(Calls.status)
 
-    @documented_as(AsyncClient.mesh)
-    def mesh(self, mesh: str) -> Mesh:
-        return run(self._calls.mesh(mesh))
+    # Farm
 
-    @documented_as(AsyncClient.meshes)
-    def meshes(self, *, limit: int | None = None, cursor: str | None = None) -> Page[Mesh]:
-        return run(self._calls.meshes(limit=limit, cursor=cursor))
-
-    @documented_as(AsyncClient.iterate_meshes)
-    def iterate_meshes(self) -> Iterator[Mesh]:
-        return iterate(self._calls.iterate_meshes())
-
-    @documented_as(AsyncClient.workers)
-    def workers(self) -> list[Worker]:
-        return run(self._calls.workers())
-
-    @documented_as(AsyncClient.worker)
-    def worker(self, worker: str) -> Worker:
-        return run(self._calls.worker(worker))
-
-    @documented_as(AsyncClient.drain_worker)
-    def drain_worker(self, worker: str) -> Worker:
-        return run(self._calls.drain_worker(worker))
-
-    @documented_as(AsyncClient.undrain_worker)
-    def undrain_worker(self, worker: str) -> Worker:
-        return run(self._calls.undrain_worker(worker))
-
-    @documented_as(AsyncClient.status)
-    def status(self) -> Status:
-        return run(self._calls.status())
+    add_suite = blocking(Calls.add_suite)
+    suite = blocking(Calls.suite)
+    suites = blocking(Calls.suites)
+    start_run = blocking(Calls.start_run)
+    run = blocking(Calls.run)
+    runs = blocking(Calls.runs)
+    iterate_runs = iterating(Calls.iterate_runs)
+    wait_for_run = blocking(Calls.wait_for_run)
+    cancel_run = blocking(Calls.cancel_run)
+    approve = blocking(Calls.approve)
+    reject = blocking(Calls.reject)
+    case_artifact = blocking(Calls.case_artifact)
+    decisions = blocking(Calls.decisions)
+    baselines = blocking(Calls.baselines)
+    reset_baseline = blocking(Calls.reset_baseline)
+    history = blocking(Calls.history)
+    calibrate = blocking(Calls.calibrate)
+    calibration = blocking(Calls.calibration)
+    add_schedule = blocking(Calls.add_schedule)
+    schedules = blocking(Calls.schedules)
+    delete_schedule = blocking(Calls.delete_schedule)
+    add_webhook = blocking(Calls.add_webhook)
+    webhooks = blocking(Calls.webhooks)
+    webhook = blocking(Calls.webhook)
+    delete_webhook = blocking(Calls.delete_webhook)
+    deliveries = blocking(Calls.deliveries)

@@ -69,6 +69,8 @@ ConfirmationState = Literal["not_needed", "running", "confirmed", "refuted", "im
 
 DecisionKind = Literal["approved", "rejected", "reset"]
 
+DeliveryState = Literal["waiting", "delivered", "given_up"]
+
 DeviceChoice = Literal["auto", "cpu", "gpu"]
 
 DeviceKind = Literal["cpu", "gpu"]
@@ -183,6 +185,19 @@ TimeTolerance: TypeAlias = "Off | dict[str, Any]"
 TimeVerdict = Literal["faster", "same", "slower", "too_noisy_to_say"]
 
 ToneMap = Literal["pbr_neutral", "agx", "none"]
+
+#: The run of `run.finished`, the decision of `decision.made`, the case of the others.
+WebhookData: TypeAlias = "dict[str, Any]"
+
+#: What a webhook can be told of. Calibrations are no news.
+WebhookEvent = Literal[
+    "run.finished",
+    "case.changed",
+    "case.missing",
+    "case.failed",
+    "case.slower",
+    "decision.made",
+]
 
 WorkerState = Literal["idle", "busy", "draining", "gone"]
 
@@ -413,6 +428,74 @@ class CameraSummary:
     name: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class CaseNews:
+    """A case that does not pass."""
+
+    baseline: str
+    #: Name of the case.
+    case: str
+    device_class: str | None = None
+    image_verdict: ImageVerdict
+    label: str
+    #: Why, in words.
+    reason: str | None = None
+    #: Id of the run.
+    run: str
+    #: Name of the suite.
+    suite: str
+    time_verdict: TimeVerdict | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareReport:
+    """Figures of a comparison, `b` against the reference `a`. Colours are linear; other layers have their own
+    units, and are spread over their common range for SSIM and FLIP.
+    """
+
+    #: Pixels that differ in any channel by more than the tolerance, or are NaN or infinite in one picture only.
+    differing_pixels: int
+    flip_mean: float
+    #: The error that 99 % of the pixels do not exceed.
+    flip_p99: float
+    #: Null where it was not wanted.
+    hdr_flip: HdrFlipFigures | None = None
+    height: int
+    #: Mean absolute difference.
+    mae: float
+    #: Column and row of the first pixel with the largest difference; null when none differs.
+    max_at: list[int] | None = None
+    #: Largest difference of any channel.
+    max_difference: float
+    max_flip: float | None = None
+    max_hdr_flip: float | None = None
+    max_rmse: float | None = None
+    #: Mean luminance of `b` over that of `a`; null when `a` is black.
+    mean_ratio: float | None = None
+    #: Pixels with a NaN or an infinity in either picture; left out of the means. An id that is "none" counts as one.
+    non_finite_pixels: int
+    #: The limits that are not kept, in words.
+    over_limits: list[str]
+    #: Whether every limit is kept. A figure that is not a number keeps none.
+    passed: bool
+    pixels: int
+    #: In dB, of the pictures as a display shows them; null where they are the same there.
+    psnr: float | None = None
+    #: Mean of `(b - a)² / (a² + 0.01)`.
+    rel_mse: float
+    #: Root of the mean squared difference over all channels of all pixels.
+    rmse: float
+    ssim: float
+    width: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparedPicture:
+    #: BLAKE3 of the file.
+    hash: str
+    layer: str
+
+
 @dataclass(kw_only=True)
 class Configuration:
     """One of the things that are compared."""
@@ -476,6 +559,17 @@ class Decision:
     suite: str
     who: str
     why: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeliveryAttempt:
+    at: datetime
+    #: Null when the message was taken: the status was 200 to 299.
+    error: str | None = None
+    #: How long it took.
+    seconds: float
+    #: What the receiver answered; null when it did not.
+    status: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -558,6 +652,21 @@ class Ground:
     #: World height; the scene's lowest point when null.
     height: float | None = None
     roughness: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HdrFlipFigures:
+    """HDR-FLIP: each pixel's largest error at any of several exposures, through the tone mapper of ACES."""
+
+    #: How many were tried, evenly from start to stop.
+    exposures: int
+    mean: float
+    #: The error that 99 % of the pixels do not exceed.
+    p99: float
+    #: Stops at which the brightest pixel of `a` is just not blown out.
+    start_exposure: float
+    #: Stops at which half of the pixels of `a` are.
+    stop_exposure: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -868,6 +977,28 @@ class NewJob:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NewRun:
+    """Body of `POST /v1/farm/runs`."""
+
+    #: The name of the baseline that it is judged against; it need not be there yet.
+    baseline: str
+    #: Only these cases; all when empty.
+    cases: list[str]
+    #: What is judged, as people call it: most often a commit. 1 to 200 characters.
+    label: str
+    #: `commit`, `build`, `driver`, and whatever else there is to know; as a job's labels.
+    labels: dict[str, str]
+    #: Settings that go before those of every case: to see the farm find what they break.
+    overrides: SettingsPatch
+    #: Of its jobs, -100 to 100.
+    priority: int
+    #: Ids or hashes of the scenes that the suite calls by a name.
+    scenes: dict[str, str]
+    #: Id of a suite.
+    suite: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class RayCounts:
     ao: int
     indirect: int
@@ -1038,6 +1169,23 @@ class SceneSummary:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Schedule:
+    #: When it was last due. Times that passed while the service was down count once.
+    begun_at: datetime | None = None
+    created_at: datetime
+    cron: str
+    #: Why the last run could not begin; null when it did.
+    error: str | None = None
+    id: str
+    #: Id of the last run that it began; the run may have been deleted since.
+    last_run: str | None = None
+    name: str
+    #: Null when the pattern has no next time.
+    next_at: datetime | None = None
+    run: NewRun
+
+
+@dataclass(frozen=True, kw_only=True)
 class Spread:
     lower_quartile_s: float
     median_s: float
@@ -1199,6 +1347,49 @@ class ValidatedJob:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Webhook:
+    created_at: datetime
+    #: When one was last taken.
+    delivered_at: datetime | None = None
+    #: What the last attempt failed of; null after a success, and before the first.
+    error: str | None = None
+    #: All when empty.
+    events: list[WebhookEvent]
+    id: str
+    suite: str | None = None
+    url: str
+    #: Messages that are still to be delivered.
+    waiting: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class WebhookDelivery:
+    """A message on its way to a webhook."""
+
+    #: In their order.
+    attempts: list[DeliveryAttempt]
+    #: As in `webhook-id`.
+    id: str
+    message: WebhookMessage
+    #: When it is sent next; null when it is not.
+    next_at: datetime | None = None
+    state: DeliveryState
+
+
+@dataclass(frozen=True, kw_only=True)
+class WebhookMessage:
+    """What is sent, with the headers of Standard Webhooks: `webhook-id` stays the same when a message is sent
+    again, `webhook-timestamp` is the time of the attempt in seconds, and `webhook-signature` is `v1,` and the
+    base64 of HMAC-SHA256 over `id.timestamp.body`.
+    """
+
+    data: WebhookData
+    #: When it happened.
+    timestamp: datetime
+    type: WebhookEvent
+
+
+@dataclass(frozen=True, kw_only=True)
 class Worker:
     cache: CacheStatus
     #: Job and task that it works on.
@@ -1246,6 +1437,21 @@ class ZTestFigures:
     #: Largest statistic of any channel of any pixel, in standard deviations.
     max_z: float
     pixels: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared(CompareReport):
+    """How far two pictures are apart. The figures are also what `lightshaft compare --json` prints."""
+
+    a: ComparedPicture
+    b: ComparedPicture
+    #: Address of the absolute difference as a picture.
+    difference: str
+    #: Address of the FLIP error (HDR-FLIP where that was wanted) of every pixel as a picture (magma: 0 is black, 1
+    #: pale yellow).
+    heat_map: str
+    #: Address of the page that shows both.
+    page: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,8 @@ from .. import _download, _pictures
 from .._calls import segment
 from .._download import OnReceived
 from .._io import Request
-from ..models import Artifact, Job
-from .base import Base, job_path
+from ..models import Artifact, Compared, Job
+from .base import Base, job_id, job_path
 
 if TYPE_CHECKING:
     from .._pictures import Array
@@ -27,6 +27,34 @@ class Artifacts(Base):
     async def artifact(self, job: str | Job, name: str = "image.png") -> bytes:
         """An artifact in memory."""
         return await self._caller.content(Request("GET", _path(job, name)))
+
+    async def compare(
+        self,
+        a: str | Job,
+        b: str | Job,
+        *,
+        artifact: str | None = None,
+        layer: str | None = None,
+        tolerance: float = 0.0,
+        hdr: bool = False,
+        max_rmse: float | None = None,
+        max_flip: float | None = None,
+        max_hdr_flip: float | None = None,
+    ) -> Compared:
+        """How far the picture of job `b` is from that of the reference `a`, and whether it keeps the limits.
+
+        Of the EXR where there is one. `hdr` asks for HDR-FLIP, too: differences at the exposure that shows them best.
+        """
+        body = {
+            "a": {"job": job_id(a), "artifact": artifact, "layer": layer},
+            "b": {"job": job_id(b), "artifact": artifact, "layer": layer},
+            "tolerance": tolerance,
+            "hdr": hdr,
+            "max_rmse": max_rmse,
+            "max_flip": max_flip,
+            "max_hdr_flip": max_hdr_flip,
+        }
+        return await self._caller.json(Compared, Request("POST", "v1/compare", json=body))
 
     async def download(
         self,

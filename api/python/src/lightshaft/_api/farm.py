@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+import uuid
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from ..models import (
     RunState,
     RunSummary,
     Scene,
+    Schedule,
     Suite,
     SuiteSummary,
 )
@@ -67,14 +69,15 @@ class Farm(Base):
         overrides: Mapping[str, Any] | None = None,
         cases: Sequence[str] = (),
         priority: int = 0,
+        idempotency_key: str | None = None,
     ) -> Run:
         """Renders every case of a suite, or those that are named, and judges each against a baseline.
 
-        `scenes` says which scene is meant by each name of the suite's.
+        `scenes` says which scene is meant by each name of the suite's. Calls with the same key give the same run.
         """
         run = _of_suite(suite, label, labels, scenes, overrides, cases, priority) | {"baseline": baseline}
-        request = Request("POST", "v1/farm/runs", json=run, is_repeatable=False)
-        return await self._caller.json(Run, request)
+        headers = {"Idempotency-Key": idempotency_key or str(uuid.uuid4())}
+        return await self._caller.json(Run, Request("POST", "v1/farm/runs", headers=headers, json=run))
 
     async def run(self, run: str) -> Run:
         """A run with the verdict of every case."""
@@ -235,6 +238,33 @@ class Farm(Base):
     async def calibration(self, calibration: str) -> Calibration:
         """The noise of each case, as far as it is known."""
         return await self._caller.json(Calibration, Request("GET", f"v1/farm/calibrations/{segment(calibration)}"))
+
+    async def add_schedule(
+        self,
+        name: str,
+        cron: str,
+        suite: str | Suite,
+        label: str,
+        *,
+        labels: Mapping[str, str] | None = None,
+        baseline: str = "main",
+        scenes: Mapping[str, str | Scene] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        cases: Sequence[str] = (),
+        priority: int = 0,
+    ) -> Schedule:
+        """Begins a run by the clock: `cron` is minute, hour, day, month and day of the week, in UTC."""
+        run = _of_suite(suite, label, labels, scenes, overrides, cases, priority) | {"baseline": baseline}
+        body = {"name": name, "cron": cron, "run": run}
+        return await self._caller.json(Schedule, Request("POST", "v1/farm/schedules", json=body, is_repeatable=False))
+
+    async def schedules(self) -> list[Schedule]:
+        """All schedules by name."""
+        return (await self._caller.page(Schedule, Request("GET", "v1/farm/schedules"))).items
+
+    async def delete_schedule(self, schedule: str) -> None:
+        """Deletes a schedule; runs that it began stay."""
+        await self._caller.content(Request("DELETE", f"v1/farm/schedules/{segment(schedule)}"))
 
 
 def _of_suite(
