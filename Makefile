@@ -99,7 +99,7 @@ $(PYTHON)/ready: api/python/requirements-dev.lock api/python/pyproject.toml
 	touch $@
 
 # Packages of the lock file, which has their hashes; none of their scripts runs.
-PLAYWRIGHT := tests/browser/node_modules/ready
+PLAYWRIGHT := tests/browser/node_modules/.package-lock.json
 
 .PHONY: test-browser
 test-browser: compiler test-tools ## The pages in Chromium with Playwright and axe-core; screenshots go to target/browser.
@@ -108,8 +108,8 @@ test-browser: compiler test-tools ## The pages in Chromium with Playwright and a
 	rm -rf "$${CARGO_TARGET_DIR:-target}/browser"
 	node --test --test-reporter=tap tests/browser/*.test.js
 
-$(PLAYWRIGHT): tests/browser/package-lock.json tests/browser/install.js
-	@node tests/browser/install.js
+$(PLAYWRIGHT): tests/browser/package-lock.json
+	@npm ci --prefix tests/browser --ignore-scripts --no-audit --no-fund --loglevel=error
 	touch $@
 
 .PHONY: lint
@@ -145,6 +145,7 @@ test-tools:
 	command -v chromedriver >/dev/null || missing+=' chromium-driver'
 	python3 -c 'import ensurepip, venv' 2>/dev/null || missing+=' python3-venv'
 	command -v node >/dev/null || missing+=' nodejs'
+	command -v npm >/dev/null || missing+=' npm'
 	[ -z "$$missing" ] || $(MAKE) apt PACKAGES="$$missing"
 	$(MAKE) $(PYTHON)/ready $(PLAYWRIGHT)
 
