@@ -145,6 +145,8 @@ impl<'de> DeserializeSeed<'de> for OfKind {
 
 /// Labels that start with this are the service's own.
 pub const RESERVED_LABEL_PREFIX: &str = "lightshaft.";
+/// Of automatic jobs that render what one of a scene's cameras sees: its index.
+pub const CAMERA_LABEL: &str = "lightshaft.camera";
 
 impl NewJob {
     /// Every field that is out of range; what depends on the scene is checked by the service.

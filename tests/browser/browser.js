@@ -3,7 +3,7 @@ import { mkdirSync } from 'node:fs';
 import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
-import { OUTPUT } from './service.js';
+import { OUTPUT, PATIENCE_MS } from './service.js';
 
 const DESKTOP = { width: 1280, height: 1000 };
 const PHONE = { width: 390, height: 844 };
@@ -22,6 +22,7 @@ export class Browser {
       args: ['--no-sandbox', '--disable-gpu', '--enable-unsafe-swiftshader', '--disable-dev-shm-usage'],
     });
     browser.context = await browser.chromium.newContext({ viewport: DESKTOP, colorScheme: 'light' });
+    browser.context.setDefaultTimeout(PATIENCE_MS);
     return browser;
   }
 

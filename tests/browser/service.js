@@ -10,7 +10,7 @@ const REPOSITORY = fileURLToPath(new URL('../..', import.meta.url));
 const TARGET = process.env.CARGO_TARGET_DIR ?? join(REPOSITORY, 'target');
 const BINARY = process.env.LIGHTSHAFT_BINARY ?? join(TARGET, 'debug', 'lightshaft');
 // Longer than anything here takes on two busy cores.
-const PATIENCE_MS = 120_000;
+export const PATIENCE_MS = 120_000;
 
 // Where a run leaves its screenshots.
 export const OUTPUT = join(TARGET, 'browser');

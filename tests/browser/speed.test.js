@@ -58,7 +58,7 @@ test('a pair of 4K pictures follows the pointer', async (t) => {
     await tab.waitForFunction(() => {
       const root = document.querySelector('[data-compare]');
       return 'ready' in root.dataset && root.querySelector('[data-busy]').hidden && root.querySelector('[data-figures]').innerText.includes('RMSE');
-    }, null, { timeout: 120_000 });
+    });
     const box = await tab.locator('.stage').boundingBox();
     const [x, y] = [box.x + box.width / 4, box.y + box.height / 2];
     await tab.mouse.move(x, y);

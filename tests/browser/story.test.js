@@ -33,7 +33,15 @@ async function render(tab, settings) {
 
 test('somebody uploads, submits, watches, compares and approves', async () => {
   const tab = await browser.tab(service.url);
-  await tab.goto(`${service.url}/scenes`);
+  await tab.goto(service.url);
+  await tab.keyboard.press('?');
+  await tab.waitForSelector('#keys[open]');
+  await browser.keep(tab, '0-keys');
+  await tab.keyboard.press('Escape');
+  await tab.waitForSelector('#keys', { state: 'hidden' });
+  await tab.keyboard.press('g');
+  await tab.keyboard.press('s');
+  await tab.waitForURL(/\/scenes$/);
   await tab.setInputFiles('#files', service.generate('cornell-box'));
   await tab.waitForURL(/\/scenes\/.+/);
   assert.equal(await tab.innerText('h1'), 'cornell-box');
@@ -100,6 +108,8 @@ async function judge(tab) {
 
 test('waiting jobs are raised and cancelled, and runs are scheduled', async () => {
   const tab = await browser.tab(service.url);
+  await addSuite(service);
+  await service.scene('demo');
   const scene = await service.scene('furnace-sphere');
   const [first, second] = [await service.submit(scene, ELSEWHERE), await service.submit(scene, ELSEWHERE)];
   await tab.goto(`${service.url}/queue`);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use futures::stream::{self, StreamExt};
 use lightshaft_api::job::{
-    Artifact, Job, JobPatch, JobSummary, NewJob, RESERVED_LABEL_PREFIX, TaskState, ValidatedJob,
+    Artifact, CAMERA_LABEL, Job, JobPatch, JobSummary, NewJob, RESERVED_LABEL_PREFIX, TaskState, ValidatedJob,
 };
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::scene::Scene;
@@ -17,7 +17,7 @@ use super::logs::LogStream;
 use crate::error::{ApiError, ApiResult};
 use crate::problems::Code;
 use crate::queue::{Millis, plan};
-use crate::store::{Change, Creation, Idempotency, JobQuery, JobRecord, JobRemoval, ListedJob, PageRequest};
+use crate::store::{Automatic, Change, Creation, Idempotency, JobQuery, JobRecord, JobRemoval, ListedJob, PageRequest};
 use crate::web::context;
 
 pub(super) const DEFAULT_MAX_ATTEMPTS: u32 = 3;
@@ -27,6 +27,8 @@ const DELETE_BATCH: u32 = 100;
 pub const KEY_LIFETIME_MS: i64 = 24 * 3_600_000;
 /// The label of the automatic job that renders a scene's thumbnail; its value is `true`.
 pub const THUMBNAIL_LABEL: &str = "lightshaft.thumbnail";
+/// Cameras of a scene that get a picture of their own; the first one's is the thumbnail.
+const MOST_CAMERAS: usize = 8;
 
 /// The answer to a key that was used for another request.
 pub(super) fn key_reused(made: &str) -> ApiError {
@@ -63,7 +65,7 @@ impl App {
             settings: new.settings.clone(),
             tasks: plan(&new.settings),
             trace_id: context::trace_id(),
-            automatic: false,
+            automatic: None,
             worker: None,
         };
         let creation = self.store.create_job(&record, idempotency.as_ref(), self.now()).await?;
@@ -93,27 +95,44 @@ impl App {
         Ok(ValidatedJob { tasks: plan(&new.settings).len() as u32, job, estimate })
     }
 
-    /// Renders a small picture of a new scene, when nothing else is to do.
-    pub(super) async fn create_thumbnail_job(&self, scene: &Scene) -> ApiResult<()> {
-        let settings = JobSettings::from(RenderSettings {
-            integrator: Integrator::Path,
-            width: 320,
-            height: 240,
-            spp: 32,
-            max_bounces: 3,
-            outputs: vec![Output::Png],
-            ..RenderSettings::default()
-        });
+    /// Renders small pictures of a new scene and of what its cameras see, when nothing else is to do. The thumbnail, which
+    /// says that the scene has all of them, is made last and rendered first.
+    pub(super) async fn create_thumbnail_jobs(&self, scene: &Scene) -> ApiResult<()> {
+        let cameras = scene.summary.cameras.len().min(MOST_CAMERAS) as u32;
+        for camera in 1..cameras {
+            let view = RenderSettings {
+                camera: Some(CameraChoice::Index(camera)),
+                width: 240,
+                height: 180,
+                spp: 16,
+                ..small_picture()
+            };
+            let label = (CAMERA_LABEL.to_owned(), camera.to_string());
+            self.create_automatic_job(scene, Automatic::Camera, -60, label, view).await?;
+        }
+        let label = (THUMBNAIL_LABEL.to_owned(), "true".to_owned());
+        self.create_automatic_job(scene, Automatic::Thumbnail, -50, label, small_picture()).await
+    }
+
+    async fn create_automatic_job(
+        &self,
+        scene: &Scene,
+        automatic: Automatic,
+        priority: i32,
+        label: (String, String),
+        settings: RenderSettings,
+    ) -> ApiResult<()> {
+        let settings = JobSettings::from(settings);
         let record = JobRecord {
             id: Uuid::now_v7().to_string(),
             scene: scene.id.clone(),
-            priority: -50,
+            priority,
             max_attempts: DEFAULT_MAX_ATTEMPTS,
-            labels: BTreeMap::from([(THUMBNAIL_LABEL.to_owned(), "true".to_owned())]),
+            labels: BTreeMap::from([label]),
             tasks: plan(&settings),
             settings,
             trace_id: context::trace_id(),
-            automatic: true,
+            automatic: Some(automatic),
             worker: None,
         };
         if self.store.create_job(&record, None, self.now()).await? == Creation::Created {
@@ -328,6 +347,19 @@ impl App {
             }
         }
         Ok(())
+    }
+}
+
+/// A picture that shows what a scene is, and takes little.
+fn small_picture() -> RenderSettings {
+    RenderSettings {
+        integrator: Integrator::Path,
+        width: 320,
+        height: 240,
+        spp: 32,
+        max_bounces: 3,
+        outputs: vec![Output::Png],
+        ..RenderSettings::default()
     }
 }
 

@@ -119,7 +119,7 @@ impl App {
         tracing::info!(scene.id = %id, bytes, triangles = scene.summary.triangles_total, "scene imported");
         if self.config.thumbnails && scene.summary.instances > 0 {
             // The scene is there whatever comes of this; a chore makes up for it.
-            if let Err(error) = self.create_thumbnail_job(&scene).await {
+            if let Err(error) = self.create_thumbnail_jobs(&scene).await {
                 tracing::error!(scene.id = %scene.id, error = %error, "no job for the scene's thumbnail");
             }
         }
@@ -213,7 +213,7 @@ impl App {
             return Ok(());
         }
         for scene in self.store.scenes_without_thumbnail(THUMBNAIL_BATCH).await? {
-            self.create_thumbnail_job(&scene).await?;
+            self.create_thumbnail_jobs(&scene).await?;
         }
         Ok(())
     }

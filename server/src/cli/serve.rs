@@ -38,7 +38,7 @@ pub(crate) struct Args {
     /// Seconds that a job waits for a worker with the device that it demands while all workers lack it. Then it fails.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(0..=604_800), value_name = "SECONDS")]
     device_grace_s: u64,
-    /// Do not render a small picture of every new scene.
+    /// Do not render small pictures of every new scene and of what its cameras see.
     #[arg(long)]
     no_thumbnails: bool,
     /// Days that finished jobs are kept with their pictures and logs. [default: for good]

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use lightshaft_api::job::{Job, RESERVED_LABEL_PREFIX};
 use lightshaft_api::page::Page as List;
 use lightshaft_api::scene::Scene;
-use lightshaft_api::settings::{JobSettings, RenderSettings};
+use lightshaft_api::settings::{CameraChoice, JobSettings, RenderSettings};
 use serde::Deserialize;
 
 use super::client::{Api, escape};
@@ -23,6 +23,8 @@ use super::page::{Page, PageError};
 pub(super) struct Start {
     /// Scene to render.
     scene: String,
+    /// Index of one of its cameras.
+    camera: String,
     /// Job whose scene, settings and labels to start from.
     from: String,
 }
@@ -67,10 +69,13 @@ pub(super) async fn show(api: Api, headers: HeaderMap, Query(start): Query<Start
     if let Some(scene) = scene.as_ref().filter(|scene| scenes.iter().all(|known| known.id != scene.id)) {
         scenes.insert(0, scene.clone());
     }
-    let settings = match origin.as_ref().map(|job| &job.settings) {
+    let mut settings = match origin.as_ref().map(|job| &job.settings) {
         Some(JobSettings::Render(settings)) => (**settings).clone(),
         Some(JobSettings::Benchmark(_) | JobSettings::Build(_)) | None => RenderSettings::default(),
     };
+    if let Ok(camera) = start.camera.parse() {
+        settings.camera = Some(CameraChoice::Index(camera));
+    }
     let page = NewJobPage {
         here: "jobs",
         scenes,

@@ -279,6 +279,8 @@ async fn a_run_shows_its_verdicts_and_offers_to_decide() {
 
 #[tokio::test]
 async fn a_variation_starts_from_the_settings_of_its_job() {
+    let body = get("/jobs/new?scene=s1&camera=1").await.body;
+    assert!(body.contains("<option value=\"1\" selected>1: Top (orthographic)"), "the camera of the link");
     let body = get("/jobs/new?from=j-succeeded").await.body;
     for part in [
         "<option value=\"0\" selected>0: Front (perspective)",

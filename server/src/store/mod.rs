@@ -80,6 +80,15 @@ pub enum Removal {
     InUse,
 }
 
+/// A small picture that nobody asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Automatic {
+    /// Of the scene.
+    Thumbnail,
+    /// Of what one of its cameras sees.
+    Camera,
+}
+
 #[derive(Clone, Debug)]
 pub struct JobRecord {
     pub id: String,
@@ -90,8 +99,8 @@ pub struct JobRecord {
     pub settings: JobSettings,
     pub tasks: Vec<TaskWork>,
     pub trace_id: String,
-    /// Made by the service itself, for the scene's thumbnail.
-    pub automatic: bool,
+    /// Why the service makes it by itself; `None` when somebody asked for it.
+    pub automatic: Option<Automatic>,
     /// The only worker that may do it; any when `None`.
     pub worker: Option<String>,
 }

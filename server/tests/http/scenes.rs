@@ -5,10 +5,10 @@ use std::time::{Duration, Instant};
 
 use http::StatusCode;
 use lightshaft_api::client::{ScenePart, Upload};
-use lightshaft_api::job::{JobSummary, TaskWork};
+use lightshaft_api::job::{CAMERA_LABEL, JobSummary, TaskWork};
 use lightshaft_api::page::Page;
 use lightshaft_api::scene::{Scene, SceneSummary};
-use lightshaft_api::settings::{JobSettings, Output};
+use lightshaft_api::settings::{CameraChoice, JobSettings, Output};
 use serde_json::json;
 
 use crate::harness::{Service, glb, glb_upload, multipart, positions, scratch_file, triangle_document, triangle_glb};
@@ -169,6 +169,34 @@ async fn a_scene_of_too_many_meshes_is_refused_and_says_so() {
     assert_eq!(refused.pointers(), ["file/meshes"]);
     assert!(refused.problem().detail.contains("1 different meshes are more than the limit of 0"));
     assert_eq!((service.blob_files(), service.staged_files()), (0, 0));
+}
+
+#[tokio::test]
+async fn what_further_cameras_see_is_rendered_after_the_thumbnail() {
+    let service = Service::start_with(|config| config.thumbnails = true).await;
+    let mut document = triangle_document(36, None);
+    let cameras = document["cameras"].as_array_mut().unwrap();
+    let camera = cameras[0].clone();
+    cameras.resize(12, camera);
+    document["nodes"] = (0..12).map(|camera| json!({ "camera": camera })).chain([json!({ "mesh": 0 })]).collect();
+    document["scenes"][0]["nodes"] = (0..13).collect();
+    let answer = service.upload("model/gltf-binary", glb(&document, &positions(1.0))).await;
+    assert_eq!(answer.status, StatusCode::CREATED, "{}", String::from_utf8_lossy(&answer.body));
+    let jobs: Page<JobSummary> = service.get("/v1/jobs?automatic=true").await.json();
+    let label = |job: &JobSummary| job.labels.get(CAMERA_LABEL).cloned();
+    let mut cameras: Vec<String> = jobs.items.iter().filter_map(label).collect();
+    cameras.sort();
+    assert_eq!(cameras, ["1", "2", "3", "4", "5", "6", "7"], "eight in all, of which the thumbnail shows the first");
+
+    let worker = service.worker(&["cpu"]).await;
+    let views = async || {
+        let lease = service.lease(&worker).await.unwrap();
+        service.complete(&lease, "image.png", "a picture").await;
+        let JobSettings::Render(settings) = lease.settings else { panic!("pictures are rendered") };
+        settings.camera
+    };
+    assert_eq!(views().await, None, "the thumbnail comes first");
+    assert_eq!(views().await, Some(CameraChoice::Index(1)));
 }
 
 #[tokio::test]

@@ -282,7 +282,7 @@ fn job_record(case: &OpenCase, scene: &str, settings: RenderSettings, worker: Op
         tasks: plan(&settings),
         settings,
         trace_id: context::trace_id(),
-        automatic: false,
+        automatic: None,
         worker,
     }
 }

@@ -7,9 +7,13 @@ import { startLog } from './log.js';
 import { startForm } from './form.js';
 import { startCharts } from './charts.js';
 import { startCompare } from './compare.js';
+import { startKeys } from './keys.js';
 import { hideMissingImages } from './images.js';
 
+// On a narrow screen the page's own name may lie outside of the row of pages.
+document.querySelector('header nav [aria-current]')?.scrollIntoView({ block: 'nearest', inline: 'center' });
 hideMissingImages();
+startKeys();
 startLive();
 startActions();
 startUpload();

@@ -185,7 +185,7 @@ pub(super) fn job_record(scene: &str) -> JobRecord {
         settings: JobSettings::default(),
         tasks: vec![TaskWork::Frame],
         trace_id: "0".repeat(32),
-        automatic: false,
+        automatic: None,
         worker: None,
     }
 }

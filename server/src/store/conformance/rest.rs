@@ -9,7 +9,7 @@ use lightshaft_api::mesh::{FindStructures, NewStructure};
 use lightshaft_api::settings::{DeviceChoice, Environment, EnvironmentMap, Integrator, RenderSettings, Split};
 
 use super::{Farm, TTL, job_record, picture, scene_record};
-use crate::store::{Change, Close, Creation, Idempotency, JobQuery, JobRemoval, PageRequest, Removal};
+use crate::store::{Automatic, Change, Close, Creation, Idempotency, JobQuery, JobRemoval, PageRequest, Removal};
 
 fn first_page(limit: u32) -> PageRequest {
     PageRequest { limit, after: None }
@@ -135,9 +135,10 @@ pub(super) async fn only_finished_jobs_are_deleted_and_then_with_everything(farm
 
 pub(super) async fn old_jobs_are_found_but_thumbnails_stay(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let thumbnail = farm.job_with(&scene, |job| job.automatic = true).await;
+    let thumbnail = farm.job_with(&scene, |job| job.automatic = Some(Automatic::Thumbnail)).await;
+    let view = farm.job_with(&scene, |job| job.automatic = Some(Automatic::Camera)).await;
     let (old, recent, open) = (farm.job(&scene).await, farm.job(&scene).await, farm.job(&scene).await);
-    for id in [&thumbnail, &old] {
+    for id in [&thumbnail, &view, &old] {
         farm.store.cancel_job(id, farm.now()).await.unwrap();
     }
     farm.wait(1_000);
@@ -159,7 +160,11 @@ pub(super) async fn scenes_get_one_thumbnail_each(farm: &Farm) {
     };
     assert_eq!(bare().await, [first.clone(), second.clone()]);
     farm.job(&first).await;
-    let job = farm.job_with(&first, |job| job.automatic = true).await;
+    let view = |job: &mut crate::store::JobRecord| job.automatic = Some(Automatic::Camera);
+    farm.job_with(&first, view).await;
+    assert_eq!(bare().await, [first.clone(), second.clone()], "what a camera sees is none");
+    let job = farm.job_with(&first, |job| job.automatic = Some(Automatic::Thumbnail)).await;
+    farm.job_with(&first, view).await;
     assert_eq!(bare().await, std::slice::from_ref(&second));
     assert_eq!(farm.store.thumbnail_job(&first).await.unwrap(), Some(job));
     farm.store.delete_scene(&second, farm.now()).await.unwrap();
@@ -260,7 +265,7 @@ pub(super) async fn jobs_are_listed_newest_first_and_filtered(farm: &Farm) {
     let label = |key: &str, value: &str| BTreeMap::from([(key.to_owned(), value.to_owned())]);
     let plain = farm.job(&one).await;
     let labelled = farm.job_with(&two, |job| job.labels = label("suite", "Night")).await;
-    let automatic = farm.job_with(&two, |job| job.automatic = true).await;
+    let automatic = farm.job_with(&two, |job| job.automatic = Some(Automatic::Thumbnail)).await;
     farm.store.cancel_job(&plain, farm.now()).await.unwrap();
     let list = |query: JobQuery| async move {
         let jobs = farm.store.jobs(&query, &first_page(10)).await.unwrap();
@@ -443,7 +448,7 @@ pub(super) async fn a_scene_in_use_is_not_deleted(farm: &Farm) {
 
 pub(super) async fn deleting_a_scene_cancels_its_automatic_jobs(farm: &Farm) {
     let (scene, _) = farm.scene().await;
-    let job = farm.job_with(&scene, |job| job.automatic = true).await;
+    let job = farm.job_with(&scene, |job| job.automatic = Some(Automatic::Thumbnail)).await;
     assert_eq!(farm.store.delete_scene(&scene, farm.now()).await.unwrap(), Removal::Done);
     assert_eq!(farm.state(&job).await, JobState::Cancelled);
 }

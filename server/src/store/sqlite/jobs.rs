@@ -11,7 +11,7 @@ use super::events::emit;
 use super::idempotency::OF_JOBS;
 use super::{SqliteStore, Tx, commit, context, from_name, signed, to_json};
 use crate::queue::{Demand, Millis, TaskCounts, job_state};
-use crate::store::{Change, Creation, Idempotency, JobRecord, Result};
+use crate::store::{Automatic, Change, Creation, Idempotency, JobRecord, Result};
 
 #[derive(FromRow)]
 struct StateRow {
@@ -36,7 +36,7 @@ impl SqliteStore {
             return Ok(Creation::UnknownScene);
         }
         add_job(&mut tx, job, now).await?;
-        if job.automatic {
+        if job.automatic == Some(Automatic::Thumbnail) {
             sqlx::query("UPDATE scene SET thumbnail_job = $2 WHERE id = $1")
                 .bind(&job.scene)
                 .bind(&job.id)
@@ -188,7 +188,7 @@ async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
     )
     .bind(&job.id)
     .bind(&job.scene)
-    .bind(job.automatic)
+    .bind(job.automatic.is_some())
     .bind(job.priority)
     .bind(job.max_attempts)
     .bind(to_json(&job.settings)?)

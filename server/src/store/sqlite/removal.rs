@@ -45,7 +45,7 @@ impl SqliteStore {
         sqlx::query_scalar(
             "SELECT j.id FROM job j WHERE j.finished_at < $1
                 AND NOT EXISTS (SELECT 1 FROM scene s
-                                WHERE s.id = j.scene_id AND s.thumbnail_job = j.id AND s.deleted_at IS NULL)
+                                WHERE j.automatic AND s.id = j.scene_id AND s.deleted_at IS NULL)
                 AND NOT EXISTS (SELECT 1 FROM farm_job f JOIN farm_run r ON r.id = f.run_id
                                 WHERE f.job_id = j.id AND r.state = 'running')
              ORDER BY j.finished_at LIMIT $2",
