@@ -3,6 +3,7 @@
 use lightshaft_api::estimate::{Estimate, MeasuredJobs};
 use lightshaft_api::scene::SceneSummary;
 use lightshaft_api::settings::{Acceleration, DeviceChoice, JobSettings, RenderSettings};
+use lightshaft_compare::timing;
 use lightshaft_worker::estimate::line_space_bytes;
 
 use super::App;
@@ -76,22 +77,15 @@ fn like_it(recent: Vec<Measurement>, scene: &str, device: DeviceChoice) -> Optio
     let same_scene = able.iter().any(|m| m.scene == scene);
     let near = || able.iter().filter(|m| !same_scene || m.scene == scene);
     let device = &near().next()?.device;
+    let median = |values: Vec<f64>| timing::median(&values);
     let used: Vec<&&Measurement> = near().filter(|m| m.device == *device).collect();
     Some(MeasuredJobs {
         jobs: used.len() as u32,
         same_scene,
         device: device.clone(),
-        mrays_per_s: median(used.iter().map(|m| m.mrays_per_s)),
-        rays_per_sample: median(used.iter().map(|m| m.rays / m.samples)),
+        mrays_per_s: median(used.iter().map(|m| m.mrays_per_s).collect())?,
+        rays_per_sample: median(used.iter().map(|m| m.rays / m.samples).collect())?,
     })
-}
-
-/// Of at least one value.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    if sorted.len().is_multiple_of(2) { 0.5 * (sorted[middle - 1] + sorted[middle]) } else { sorted[middle] }
 }
 
 #[cfg(test)]
