@@ -1,18 +1,7 @@
-// What a walk found, and which of two hits counts.
+// Which of two hits counts.
 
-//!include rays
+//!include found
 //!include intersect
-
-struct Trace {
-    hit: Hit,
-    box_tests: u32,
-    primitive_tests: u32,
-}
-
-// In the second element of a record of three: what it is, and, of flat structures, whether its hits go through the alpha
-// filter; the third one's last word then is its instance.
-const PRIMITIVE_SPHERE = 1u;
-const PRIMITIVE_FILTERED = 2u;
 
 // Whether a hit beats the best so far; of several at one distance the lowest ids count.
 fn is_nearer(t: f32, t_min: f32, best: Hit, found: bool, instance: u32, primitive: u32) -> bool {

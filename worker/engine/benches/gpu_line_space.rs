@@ -2,7 +2,9 @@
 //!
 //! ```text
 //! cargo bench --bench gpu_line_space -- [--scene FILE]… [--rays COUNT] [--n N] [--rounds COUNT] [--adapter NAME]
+//! cargo bench --bench gpu_line_space -- --builds [--scene FILE]… [--rounds COUNT] [--adapter NAME]
 //! ```
+//! With `--builds` the seconds that the CPU and the GPU take to build the Line Space of the largest mesh.
 //! Without a scene, a generated forest and pile. Rounds are interleaved; the table shows medians, and what was told.
 
 mod common;
@@ -15,9 +17,13 @@ use std::sync::atomic::AtomicBool;
 
 use common::{Random, median, number, timed, values};
 use glam::Vec3;
-use lightshaft_engine::accel::line_space::{ClassLayout, LineSpace, LineSpaceParams, Payload};
+use lightshaft_engine::accel::line_space::{
+    BinaryBuilder, CastPattern, ClassLayout, LineSpace, LineSpaceParams, Payload,
+};
 use lightshaft_engine::accel::{BuildParams, MeshStructure, SceneAccel};
-use lightshaft_engine::device::gpu::{Batch, Context, HostStructure, Kernel, MeshView, PlacementView, Tracer};
+use lightshaft_engine::device::gpu::{
+    Batch, Context, HostStructure, Kernel, LineSpaceBuilder, MeshView, PlacementView, Tracer,
+};
 use lightshaft_engine::pack::placements;
 use lightshaft_engine::scene::{Limits, Params, Scene, generate, import_file};
 use rays::{Ours, RaySet, ray_sets};
@@ -25,6 +31,8 @@ use rays::{Ours, RaySet, ray_sets};
 fn main() {
     let context = Context::open(values("--adapter").first().map(String::as_str)).expect("an adapter");
     println!("{} ({}, {})", context.info.name, context.info.driver, context.info.backend);
+    let context = Arc::new(context);
+    let measure = if std::env::args().any(|argument| argument == "--builds") { measure_builds } else { measure };
     let files = values("--scene");
     for file in &files {
         let scene = import_file(Path::new(file), &Limits::default()).unwrap_or_else(|error| panic!("{file}: {error}"));
@@ -40,7 +48,56 @@ fn main() {
     }
 }
 
-fn measure(context: &Context, name: &str, scene: &Scene) {
+/// The kinds of build that both devices have, as jobs ask for them.
+fn builds() -> Vec<LineSpaceParams> {
+    let with = |n, payload| LineSpaceParams { n, payload };
+    let cast = |n, pattern| with(n, Payload::Binary { builder: BinaryBuilder::Casting(pattern) });
+    vec![
+        with(8, Payload::Binary { builder: BinaryBuilder::Masking }),
+        cast(10, CastPattern::Centre),
+        cast(10, CastPattern::Nine),
+        with(10, Payload::Candidates { pattern: CastPattern::Nine }),
+        LineSpaceParams::DEFAULT_CLASSES,
+        with(32, Payload::Classes { layout: ClassLayout::Tree, resolution: 256 }),
+    ]
+}
+
+fn measure_builds(context: &Arc<Context>, name: &str, scene: &Scene) {
+    let never = AtomicBool::new(false);
+    let mesh = scene.meshes.iter().max_by_key(|mesh| mesh.primitive_count()).expect("a mesh");
+    let structure = Arc::new(MeshStructure::build(mesh, &BuildParams::default(), &never).expect("builds"));
+    let builder = LineSpaceBuilder::new(Arc::clone(context));
+    println!("\n{name}: {} triangles", mesh.triangles.len());
+    for params in builds() {
+        let (mut on_cpu, mut on_gpu, mut longest_s) = (vec![], vec![], 0.0_f64);
+        let mut left = 0;
+        // The first round pays for the driver's compiler, and for the atlas of masks.
+        for round in 0..=number("--rounds", 5) {
+            let (cpu_s, expected) = timed(|| LineSpace::build(mesh, &structure, &params, u64::MAX, &never));
+            let (gpu_s, built) = timed(|| builder.build(mesh, &structure, &params, u64::MAX, &never));
+            let built = built.expect("builds");
+            assert!(
+                built.on_gpu && built.space == expected.expect("builds"),
+                "{params:?} differs: {:?}",
+                built.warning
+            );
+            if round > 0 {
+                on_cpu.push(cpu_s);
+                on_gpu.push(gpu_s);
+                longest_s = longest_s.max(built.longest_submit_s);
+            }
+            left = built.left_to_cpu;
+        }
+        println!(
+            "  {:<62} CPU {:.3} s, GPU {:.3} s; left to the CPU {left}; longest submit {longest_s:.3} s",
+            params.canonical(),
+            median(&mut on_cpu),
+            median(&mut on_gpu)
+        );
+    }
+}
+
+fn measure(context: &Arc<Context>, name: &str, scene: &Scene) {
     let never = AtomicBool::new(false);
     let n = number("--n", 16) as u32;
     let params = LineSpaceParams { n, payload: Payload::Classes { layout: ClassLayout::Tree, resolution: 128 } };

@@ -154,6 +154,11 @@ pub trait Device: Send {
     /// Uploads the scene (a no-op on the CPU).
     fn prepare(&mut self, scene: Arc<PackedScene>, settings: &RenderSettings)
     -> Result<Box<dyn Renderer>, DeviceError>;
+
+    /// What builds Line Spaces on this device; none where the CPU does.
+    fn line_space_builder(&self) -> Option<Arc<gpu::LineSpaceBuilder>> {
+        None
+    }
 }
 
 /// A scene on a device, ready to render passes of one job.

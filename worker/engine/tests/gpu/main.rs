@@ -1,11 +1,14 @@
 //! The GPU device against the CPU and a brute-force oracle. Runs on whatever adapter wgpu prefers (lavapipe where there
 //! is no GPU) and fails where there is none: a GPU path that nobody runs would rot.
 
+mod builds;
 #[path = "../common/mod.rs"]
 mod common;
 mod failures;
 mod flat;
 mod gates;
+#[path = "../line_space/meshes.rs"]
+mod hard_meshes;
 mod pictures;
 mod portability;
 mod scenes;

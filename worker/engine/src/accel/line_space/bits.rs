@@ -19,7 +19,7 @@ impl BitSet {
         len.div_ceil(32) as usize
     }
 
-    pub(super) fn from_words(len: u64, words: Vec<u32>) -> Result<Self, String> {
+    pub(crate) fn from_words(len: u64, words: Vec<u32>) -> Result<Self, String> {
         if words.len() != Self::words_needed(len) {
             return Err(format!("{} words for {len} bits", words.len()));
         }
@@ -74,6 +74,11 @@ impl BinaryShafts {
         Ok(Self { n, bits: BitSet::from_words(super::shaft::symmetric_count(n), words)? })
     }
 
+    /// From a bit for each symmetric shaft.
+    pub(crate) fn new(n: u32, bits: BitSet) -> Self {
+        Self { n, bits }
+    }
+
     /// Bytes for `n`: 15 N^4 bits in words.
     pub fn bytes_needed(n: u32) -> u64 {
         super::shaft::symmetric_count(n).div_ceil(32) * 4
@@ -103,7 +108,7 @@ pub struct SparseCandidates {
 }
 
 /// In the dense layout: no candidate.
-pub(super) const NO_CANDIDATE: u32 = u32::MAX;
+pub(crate) const NO_CANDIDATE: u32 = u32::MAX;
 
 impl SparseCandidates {
     /// Bytes for `n` when all shafts have a candidate: a bit, a 32nd of an offset, a number each.
@@ -113,7 +118,7 @@ impl SparseCandidates {
     }
 
     /// From the dense layout: one number, or [`NO_CANDIDATE`], for each directed shaft.
-    pub(super) fn from_dense(n: u32, dense: &[u32]) -> Self {
+    pub(crate) fn from_dense(n: u32, dense: &[u32]) -> Self {
         let mut filled = BitSet::new(dense.len() as u64);
         let primitives =
             (0..).zip(dense).filter(|(_, primitive)| **primitive != NO_CANDIDATE).map(|(index, primitive)| {

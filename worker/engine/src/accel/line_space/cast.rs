@@ -3,7 +3,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bits::{BinaryShafts, BitSet, Coverage, NO_CANDIDATE, SparseCandidates};
@@ -22,40 +22,57 @@ const OFFSETS: [[f64; 2]; 9] = {
     [[0.0, 0.0], [-T, -T], [0.0, -T], [T, -T], [-T, 0.0], [T, 0.0], [-T, T], [0.0, T], [T, T]]
 };
 
+impl CastPattern {
+    fn offsets(self) -> &'static [[f64; 2]] {
+        match self {
+            Self::Centre => &OFFSETS[..1],
+            Self::Nine => &OFFSETS,
+        }
+    }
+
+    /// Where the pattern's lines begin or end on a patch.
+    pub(crate) fn points(self, grid: &ShaftGrid, patch: Patch) -> impl Iterator<Item = Vec3> {
+        self.offsets().iter().map(move |[u, v]| point(grid, patch, [0.5 + u, 0.5 + v]))
+    }
+}
+
+/// A point of a patch, in patches from its lower corner.
+fn point(grid: &ShaftGrid, patch: Patch, [u, v]: [f64; 2]) -> Vec3 {
+    let [low, _] = patch.unit_bounds(grid.n());
+    let [u_axis, v_axis] = patch.tangents().map(|axis| DVec3::AXES[axis]);
+    grid.from_unit(low + (u_axis * u + v_axis * v) / f64::from(grid.n())).as_vec3()
+}
+
 /// What lines are cast through.
-pub(super) trait Target: Sync {
+pub(crate) trait Target: Sync {
     /// Offers the sink what is hit.
     fn trace(&self, ray: &Ray, sink: &mut impl Sink);
 }
 
-struct Caster<'a, T> {
+/// Finds what lines between patches hit.
+pub(crate) struct Caster<'a, T> {
     target: &'a T,
     grid: &'a ShaftGrid,
 }
 
-impl<T: Target> Caster<'_, T> {
+impl<'a, T: Target> Caster<'a, T> {
+    pub(crate) fn new(target: &'a T, grid: &'a ShaftGrid) -> Self {
+        Self { target, grid }
+    }
+
     /// The first primitive on the line between two points, given in patches from the patches' lower corners.
     fn cast(&self, start: Patch, end: Patch, from: [f64; 2], to: [f64; 2]) -> Option<u32> {
-        let point = |patch: Patch, [u, v]: [f64; 2]| {
-            let n = f64::from(self.grid.n());
-            let [low, _] = patch.unit_bounds(self.grid.n());
-            let [u_axis, v_axis] = patch.tangents().map(|axis| DVec3::AXES[axis]);
-            self.grid.from_unit(low + (u_axis * u + v_axis * v) / n)
-        };
-        let (from, to) = (point(start, from), point(end, to));
-        let ray = Ray { origin: from.as_vec3(), t_min: 0.0, direction: (to - from).as_vec3(), t_max: 1.0 };
+        let (from, to) = (point(self.grid, start, from), point(self.grid, end, to));
+        // One difference, so that a device comes to the same line.
+        let ray = Ray { origin: from, t_min: 0.0, direction: to - from, t_max: 1.0 };
         let mut sink = Nearest { t: 1.0, primitive: None };
         self.target.trace(&ray, &mut sink);
         sink.primitive
     }
 
     /// What the first line of the pattern that hits something hits.
-    fn candidate(&self, start: Patch, end: Patch, pattern: CastPattern) -> Option<u32> {
-        let lines = match pattern {
-            CastPattern::Centre => &OFFSETS[..1],
-            CastPattern::Nine => &OFFSETS[..],
-        };
-        lines.iter().find_map(|&[u, v]| {
+    pub(crate) fn candidate(&self, start: Patch, end: Patch, pattern: CastPattern) -> Option<u32> {
+        pattern.offsets().iter().find_map(|&[u, v]| {
             let at = [0.5 + u, 0.5 + v];
             self.cast(start, end, at, at)
         })
@@ -101,7 +118,7 @@ pub(super) fn marks(
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<BinaryShafts, BuildError> {
-    let caster = Caster { target, grid };
+    let caster = Caster::new(target, grid);
     let n = grid.n();
     let blocked = for_shafts(symmetric_count(n), cancel, |index| {
         let (a, b) = symmetric_patches(n, index);
@@ -119,7 +136,7 @@ pub(super) fn dense_candidates(
     pattern: CastPattern,
     cancel: &AtomicBool,
 ) -> Result<Vec<u32>, BuildError> {
-    let caster = Caster { target, grid };
+    let caster = Caster::new(target, grid);
     let n = grid.n();
     for_shafts(directed_count(n), cancel, |index| {
         let (start, end) = directed_patches(n, index);
@@ -144,7 +161,7 @@ pub(super) fn coverage(
     rays: u32,
     cancel: &AtomicBool,
 ) -> Result<Coverage, BuildError> {
-    let caster = Caster { target, grid };
+    let caster = Caster::new(target, grid);
     let n = grid.n();
     let parts = for_shafts(symmetric_count(n), cancel, |index| {
         let (a, b) = symmetric_patches(n, index);

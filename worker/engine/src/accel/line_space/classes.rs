@@ -24,6 +24,11 @@ pub enum Class {
 impl Class {
     const ALL: [Self; 3] = [Self::Empty, Self::Opaque, Self::Mixed];
 
+    /// None for a number that stands for no class.
+    pub(crate) fn of_code(code: u32) -> Option<Self> {
+        Self::ALL.get(code as usize).copied()
+    }
+
     pub(super) fn from_code(code: u32) -> Self {
         Self::ALL[code as usize]
     }
@@ -33,6 +38,8 @@ impl Class {
 pub(super) const CODES: usize = 16;
 /// In a [`ClassTree`]: undecided, and the next level knows more.
 pub(super) const SPLIT: u32 = 3;
+/// A block in which nothing is decided: its parent says as much.
+pub(super) const ALL_MIXED: u32 = 0xaaaa_aaaa;
 
 /// Class of every symmetric shaft, two bits each.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -119,6 +126,42 @@ impl ClassTree {
         }
         let inner = levels.into_iter().map(|blocks| grouped(&blocks)).collect();
         Ok(Self { root_n, inner, last: PackedBlocks::new(&last) })
+    }
+
+    /// From the classes of all shafts of the coarsest level by their number, then level by level of the sixteen children of each
+    /// shaft that is MIXED in the level above, in the order of those and of [`Self::children`].
+    ///
+    /// # Errors
+    /// When the levels do not fit each other.
+    pub(crate) fn from_classes(root_n: u32, levels: &[Vec<Class>]) -> Result<Self, String> {
+        let mut words: Vec<Vec<u32>> = Vec::with_capacity(levels.len());
+        // For each block of the level below, whether it says more than its parent.
+        let mut says_more: Vec<bool> = Vec::new();
+        for classes in levels.iter().rev() {
+            let mut below = says_more.into_iter();
+            let mut code = |class: &Class| match class {
+                Class::Mixed if below.next().unwrap_or(false) => SPLIT,
+                class => *class as u32,
+            };
+            let block =
+                |block: &[Class]| (0..).zip(block).fold(0, |word, (slot, class)| word | code(class) << (2 * slot));
+            let blocks: Vec<u32> = classes.chunks(CODES).map(block).collect();
+            says_more = blocks.iter().map(|&word| word != ALL_MIXED).collect();
+            words.push(blocks);
+        }
+        words.reverse();
+        words[1..].iter_mut().for_each(|blocks| blocks.retain(|&word| word != ALL_MIXED));
+        Self::from_levels(root_n, words)
+    }
+
+    /// The shafts that halving both patches of one makes, in the order in which a block has them.
+    pub(crate) fn children(a: Patch, b: Patch) -> [(Patch, Patch); CODES] {
+        let quarter = |patch: Patch, bits: usize| Patch {
+            u: 2 * patch.u + (bits & 1) as u32,
+            v: 2 * patch.v + (bits >> 1 & 1) as u32,
+            ..patch
+        };
+        std::array::from_fn(|child| (quarter(a, child >> 2), quarter(b, child)))
     }
 
     /// The blocks of each level, the coarsest first.

@@ -17,10 +17,10 @@
 
 use std::sync::atomic::AtomicBool;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::classes::{CODES, Class, ClassTree, SPLIT};
+use super::classes::{ALL_MIXED, CODES, Class, ClassTree, SPLIT};
 use super::shaft::{DILATION, symmetric_count, symmetric_patches};
 use super::voxels::{Occupancy, Voxels};
 use super::{Patch, ShaftGrid};
@@ -89,13 +89,7 @@ impl Refinement<'_> {
             let is_last = level + 1 == self.levels.len();
             let mut code = class as u32;
             if class == Class::Mixed && !is_last {
-                let quarter = |patch: Patch, bits: usize| Patch {
-                    u: 2 * patch.u + (bits & 1) as u32,
-                    v: 2 * patch.v + (bits >> 1 & 1) as u32,
-                    ..patch
-                };
-                let children: [_; CODES] = std::array::from_fn(|child| (quarter(a, child >> 2), quarter(b, child)));
-                let below = self.block(level + 1, &children);
+                let below = self.block(level + 1, &ClassTree::children(a, b));
                 if below == ALL_MIXED {
                     self.levels[level + 1].pop();
                 } else {
@@ -108,9 +102,6 @@ impl Refinement<'_> {
         word
     }
 }
-
-/// A block in which nothing is decided.
-const ALL_MIXED: u32 = 0xaaaa_aaaa;
 
 /// A shaft, grown by [`DILATION`], in the unit cube.
 struct Beam {
@@ -158,7 +149,8 @@ struct Crossing {
     on_edge: bool,
 }
 
-struct Classifier<'a> {
+/// Finds the classes of a mesh's shafts.
+pub(crate) struct Classifier<'a> {
     mesh: &'a Mesh,
     structure: &'a MeshStructure,
     grid: &'a ShaftGrid,
@@ -170,7 +162,7 @@ struct Classifier<'a> {
 }
 
 impl<'a> Classifier<'a> {
-    fn new(
+    pub(crate) fn new(
         mesh: &'a Mesh,
         structure: &'a MeshStructure,
         grid: &'a ShaftGrid,
@@ -185,6 +177,16 @@ impl<'a> Classifier<'a> {
         });
         let longest_side = longest_side.reduce(|| 0.0, f64::max).sqrt();
         Self { mesh, structure, grid, voxels, resolution, kernels: Kernels::detect(), longest_side }
+    }
+
+    /// The class of the shaft between two patches, of which `n` make an edge of the box.
+    pub(crate) fn class(&self, n: u32, a: Patch, b: Patch) -> Class {
+        self.classify(&Beam::new(n, a, b), &mut Vec::new())
+    }
+
+    /// Whether some triangle may be as wide as a patch, of which `n` make an edge of the box.
+    pub(crate) fn has_triangles_as_wide_as_a_patch(&self, n: u32) -> bool {
+        1.0 / f64::from(n) <= self.longest_side * (1.0 + 1e-9)
     }
 
     fn classify(&self, beam: &Beam, hits: &mut Vec<Crossing>) -> Class {
@@ -252,15 +254,13 @@ impl<'a> Classifier<'a> {
 
     /// Finds all crossings of one line of the shaft. False when they cannot be counted for certain.
     fn crossings(&self, beam: &Beam, &[au, av, bu, bv]: &[f64; 4], hits: &mut Vec<Crossing>) -> bool {
-        let point = |end: usize, u: f64, v: f64| {
+        let point_of = |end: usize, u: f64, v: f64| {
             let [low, high] = beam.patches[end];
-            let extent = high - low;
-            // On the patch's own axis the extent is 0.
-            let part = DVec3::new(u, if extent.x == 0.0 { u } else { v }, v);
-            self.grid.from_unit(low + extent * part)
+            point(self.grid, low, high - low, [u, v])
         };
-        let (from, to) = (point(0, au, av), point(1, bu, bv));
-        let ray = Ray { origin: from.as_vec3(), t_min: 0.0, direction: (to - from).as_vec3(), t_max: 1.0 };
+        let (from, to) = (point_of(0, au, av), point_of(1, bu, bv));
+        // One difference, so that a device comes to the same line.
+        let ray = Ray { origin: from, t_min: 0.0, direction: to - from, t_max: 1.0 };
         self.all_hits(&ray, hits);
         hits.iter().all(|hit| !hit.on_edge)
     }
@@ -290,6 +290,20 @@ impl<'a> Classifier<'a> {
         let mut corners = triangles.map(|t| t.map(|v| self.grid.to_unit(self.mesh.positions[v as usize].as_dvec3())));
         corners.any(|triangle| starts.iter().all(|&p| ends.iter().all(|&q| crosses(triangle, p, q))))
     }
+}
+
+/// The middle of a patch, of which `n` make an edge of the box: where the line that is tried first begins or ends.
+pub(crate) fn middle(grid: &ShaftGrid, n: u32, patch: Patch) -> Vec3 {
+    let [low, high] = patch.unit_bounds(n);
+    let [u, v, ..] = TRIES[0];
+    point(grid, low, high - low, [u, v])
+}
+
+/// A point of a patch that begins at `low`.
+fn point(grid: &ShaftGrid, low: DVec3, extent: DVec3, [u, v]: [f64; 2]) -> Vec3 {
+    // On the patch's own axis the extent is 0.
+    let part = DVec3::new(u, if extent.x == 0.0 { u } else { v }, v);
+    grid.from_unit(low + extent * part).as_vec3()
 }
 
 /// Whether the line from `p` to `q` passes through the triangle's inside for certain, between the two.

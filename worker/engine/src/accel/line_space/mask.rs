@@ -27,14 +27,14 @@ use crate::scene::Mesh;
 pub const MAX_MASK_N: u32 = 12;
 
 /// For each cell of a box, x running fastest, the shafts that it meets. Patches are one cell wide, or several.
-pub(in crate::accel) struct MaskAtlas {
+pub(crate) struct MaskAtlas {
     words_per_cell: usize,
     masks: Vec<u32>,
 }
 
 /// What an atlas is made for.
 #[derive(Clone, Copy)]
-pub(in crate::accel) struct AtlasParams {
+pub(crate) struct AtlasParams {
     /// Cells along an edge, at most 16.
     pub cells: u32,
     /// Cells that a patch is wide; the last one may be narrower. There are at most [`MAX_MASK_N`] patches along an edge.
@@ -45,19 +45,19 @@ pub(in crate::accel) struct AtlasParams {
 
 impl AtlasParams {
     /// Patches along an edge.
-    pub(in crate::accel) fn patches(&self) -> u32 {
+    pub(crate) fn patches(&self) -> u32 {
         self.cells.div_ceil(self.width)
     }
 }
 
 impl MaskAtlas {
     /// Bytes of the atlas for `n`.
-    pub(in crate::accel) fn bytes_needed(n: u32) -> u64 {
+    pub(crate) fn bytes_needed(n: u32) -> u64 {
         u64::from(n).pow(3) * symmetric_count(n).div_ceil(32) * 4
     }
 
     /// Made once in a process, and kept.
-    pub(in crate::accel) fn get(params: &AtlasParams, cancel: &AtomicBool) -> Result<Arc<Self>, BuildError> {
+    pub(crate) fn get(params: &AtlasParams, cancel: &AtomicBool) -> Result<Arc<Self>, BuildError> {
         /// By cells, width and the bits of the growth.
         type Atlases = BTreeMap<(u32, u32, u64), Arc<MaskAtlas>>;
         static ATLASES: OnceLock<Mutex<Atlases>> = OnceLock::new();
@@ -99,7 +99,12 @@ impl MaskAtlas {
         Ok(Self { words_per_cell, masks })
     }
 
-    pub(in crate::accel) fn mask(&self, cell: usize) -> &[u32] {
+    /// The masks of all cells, one after the other.
+    pub(crate) fn masks(&self) -> &[u32] {
+        &self.masks
+    }
+
+    pub(crate) fn mask(&self, cell: usize) -> &[u32] {
         &self.masks[cell * self.words_per_cell..][..self.words_per_cell]
     }
 }

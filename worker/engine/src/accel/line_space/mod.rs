@@ -43,7 +43,7 @@ pub use classes::{Class, ClassTable, ClassTree};
 pub use gate::GateCounters;
 pub(crate) use gate::{Gates, Verdict, chance};
 pub use mask::MAX_MASK_N;
-pub(super) use mask::{AtlasParams, MaskAtlas};
+pub(crate) use mask::{AtlasParams, MaskAtlas};
 pub(crate) use nodes::NodeSpace;
 pub use nodes::{MAX_NODE_DEPTH, MIN_NODE_PRIMITIVES, NodeSpaceParams, NodeSpaces};
 pub use params::{BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, Payload};
@@ -51,11 +51,21 @@ pub use shaft::{Chord, Location, Patch, ShaftGrid};
 pub use surface::{Evidence, SurfaceShaftParams, SurfaceShafts};
 pub(crate) use worth::{pays, pays_in_cells};
 
+/// What builders on other devices share with those here.
+pub(crate) mod parts {
+    pub(crate) use super::bits::NO_CANDIDATE;
+    pub(crate) use super::cast::Caster;
+    pub(crate) use super::layered::{Classifier, middle};
+    pub(crate) use super::nodes::Below;
+    pub(crate) use super::shaft::{DILATION, directed_count, directed_patches, symmetric_count, symmetric_patches};
+    pub(crate) use super::voxels::{Rasterizer, Voxels, lattice, rim_edges};
+}
+
 use super::{BuildError, CorruptStructure, MeshStructure, StructureKey};
 use crate::scene::{Mesh, MeshHash};
 
 /// Changes whenever a builder or the stored layout changes: old cache entries are then simply not found.
-pub const LINE_SPACE_VERSION: u32 = 1;
+pub const LINE_SPACE_VERSION: u32 = 2;
 
 /// What is stored for the shafts of a box.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,6 +78,17 @@ pub enum Shafts {
 }
 
 impl Shafts {
+    /// A tree of classes in the layout that is asked for.
+    pub(crate) fn of_classes(layout: ClassLayout, tree: ClassTree) -> Self {
+        match layout {
+            ClassLayout::Tree => Self::Tree(tree),
+            ClassLayout::Table => Self::Table(ClassTable::from_fn(tree.n(), |index| {
+                let (a, b) = shaft::symmetric_patches(tree.n(), index);
+                tree.class(a, b)
+            })),
+        }
+    }
+
     /// Memory, in bytes.
     pub fn bytes(&self) -> usize {
         match self {
@@ -105,34 +126,24 @@ impl LineSpace {
         budget_bytes: u64,
         cancel: &AtomicBool,
     ) -> Result<Self, BuildError> {
-        params.check().map_err(BuildError::Unsupported)?;
-        let needed = params.bytes_at_most();
-        if needed > budget_bytes {
-            return Err(BuildError::Unsupported(format!(
-                "the line space of a mesh ({}) may take {needed} bytes; the budget is {budget_bytes}",
-                params.canonical()
-            )));
-        }
-        let Some(grid) = ShaftGrid::new(&structure.bvh2().bounds(), params.n) else {
-            return Ok(Self { mesh: mesh.hash, params: *params, content: None });
+        let Some(grid) = params.grid_within(structure, budget_bytes)? else {
+            return Ok(Self::new(mesh, params, None));
         };
         let shafts = match params.payload {
             Payload::Classes { layout, resolution } => {
                 let root_n = params.n >> params.class_levels();
-                let tree = layered::build(mesh, structure, &grid, root_n, resolution, cancel)?;
-                match layout {
-                    ClassLayout::Tree => Shafts::Tree(tree),
-                    ClassLayout::Table => Shafts::Table(ClassTable::from_fn(params.n, |index| {
-                        let (a, b) = shaft::symmetric_patches(params.n, index);
-                        tree.class(a, b)
-                    })),
-                }
+                Shafts::of_classes(layout, layered::build(mesh, structure, &grid, root_n, resolution, cancel)?)
             }
             Payload::Binary { .. } | Payload::Candidates { .. } | Payload::Coverage { .. } => {
                 nodes::shafts(mesh, &nodes::Below::root(structure), &grid, params, cancel)?
             }
         };
-        Ok(Self { mesh: mesh.hash, params: *params, content: Some((grid, shafts)) })
+        Ok(Self::new(mesh, params, Some((grid, shafts))))
+    }
+
+    /// `content` is of `mesh` and `params`; none where [`LineSpaceParams::grid_within`] gives no grid.
+    pub(crate) fn new(mesh: &Mesh, params: &LineSpaceParams, content: Option<(ShaftGrid, Shafts)>) -> Self {
+        Self { mesh: mesh.hash, params: *params, content }
     }
 
     /// The mesh that it was built for.
@@ -186,6 +197,27 @@ impl LineSpace {
 }
 
 impl LineSpaceParams {
+    /// The grid of a mesh's root box; none for one that single precision cannot divide.
+    ///
+    /// # Errors
+    /// [`BuildError::Unsupported`] for parameters out of range, and with the figure when the Line Space may take more than
+    /// `budget_bytes`.
+    pub(crate) fn grid_within(
+        &self,
+        structure: &MeshStructure,
+        budget_bytes: u64,
+    ) -> Result<Option<ShaftGrid>, BuildError> {
+        self.check().map_err(BuildError::Unsupported)?;
+        let needed = self.bytes_at_most();
+        if needed > budget_bytes {
+            return Err(BuildError::Unsupported(format!(
+                "the line space of a mesh ({}) may take {needed} bytes; the budget is {budget_bytes}",
+                self.canonical()
+            )));
+        }
+        Ok(ShaftGrid::new(&structure.bvh2().bounds(), self.n))
+    }
+
     /// The key of a mesh's Line Space in every cache.
     pub fn key(&self, mesh: MeshHash) -> StructureKey {
         StructureKey { mesh, kind: "line_space", parameters: self.canonical(), builder_version: LINE_SPACE_VERSION }

@@ -352,7 +352,7 @@ impl NodeSpace {
 }
 
 /// What lies below one node.
-pub(super) struct Below<'a> {
+pub(crate) struct Below<'a> {
     pub structure: &'a MeshStructure,
     pub node: usize,
     pub primitives: &'a [u32],
@@ -362,7 +362,7 @@ pub(super) struct Below<'a> {
 
 impl<'a> Below<'a> {
     /// The whole mesh.
-    pub(super) fn root(structure: &'a MeshStructure) -> Self {
+    pub(crate) fn root(structure: &'a MeshStructure) -> Self {
         Self { structure, node: 0, primitives: &structure.bvh2().primitives, roots: &[ChildRef::ROOT] }
     }
 

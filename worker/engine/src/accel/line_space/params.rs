@@ -146,7 +146,7 @@ impl LineSpaceParams {
     }
 
     /// Levels of classes below the coarsest one. A table is made from a tree too, so that both give the same answers.
-    pub(super) fn class_levels(&self) -> u32 {
+    pub(crate) fn class_levels(&self) -> u32 {
         if self.n.is_multiple_of(TREE_ROOT_N) { (self.n / TREE_ROOT_N).trailing_zeros() } else { 0 }
     }
 

@@ -20,14 +20,14 @@ const CHECKED: usize = 8192;
 
 /// Which cells of a cube of voxels hold something.
 #[derive(Debug)]
-pub(super) struct Occupancy {
+pub(crate) struct Occupancy {
     resolution: usize,
     /// Occupied cells below and left of and in front of each lattice point.
     sums: Vec<u32>,
 }
 
 impl Occupancy {
-    fn new(resolution: u32, bits: &[AtomicU64]) -> Self {
+    fn new(resolution: u32, is_occupied: impl Fn(usize) -> bool + Sync) -> Self {
         let r = resolution as usize;
         let row = r + 1;
         let mut sums = vec![0_u32; row * row * row];
@@ -36,7 +36,7 @@ impl Occupancy {
                 let mut along = 0;
                 for x in 0..r {
                     let cell = ((z - 1) * r + y) * r + x;
-                    along += (bits[cell / 64].load(Ordering::Relaxed) >> (cell % 64) & 1) as u32;
+                    along += u32::from(is_occupied(cell));
                     layer[(y + 1) * row + x + 1] = layer[y * row + x + 1] + along;
                 }
             }
@@ -47,6 +47,11 @@ impl Occupancy {
             layer[..row * row].iter_mut().zip(below).for_each(|(sum, below)| *sum += below);
         }
         Self { resolution: r, sums }
+    }
+
+    /// For each lattice point, x running fastest, the occupied cells before it on all axes.
+    pub(crate) fn sums(&self) -> &[u32] {
+        &self.sums
     }
 
     /// Whether a cell that the box from `low` to `high` reaches (in a unit cube of voxels) holds something.
@@ -73,7 +78,7 @@ impl Occupancy {
 
 /// The two grids of a mesh, over the unit cube of a [`ShaftGrid`].
 #[derive(Debug)]
-pub(super) struct Voxels {
+pub(crate) struct Voxels {
     /// Cells that the surface meets.
     pub surface: Occupancy,
     /// Cells that meet an edge where an odd number of triangles end: holes and borders.
@@ -82,7 +87,7 @@ pub(super) struct Voxels {
 
 impl Voxels {
     /// Memory that [`Self::build`] takes at most, in bytes, for a mesh of so many triangles.
-    pub(super) fn bytes_needed(resolution: u32, triangles: usize) -> u64 {
+    pub(crate) fn bytes_needed(resolution: u32, triangles: usize) -> u64 {
         let r = u64::from(resolution);
         2 * ((r + 1).pow(3) * 4 + r.pow(3) / 8) + triangles as u64 * 3 * 12
     }
@@ -97,7 +102,7 @@ impl Voxels {
     ) -> Result<Self, BuildError> {
         let cells = (resolution as usize).pow(3);
         let fresh = || (0..cells.div_ceil(64)).map(|_| AtomicU64::new(0)).collect::<Vec<_>>();
-        let rasterizer = Rasterizer { lattice: lattice(bounds, grid, resolution) };
+        let rasterizer = Rasterizer::new(bounds, grid, resolution);
 
         let surface = fresh();
         let set = |bits: &[AtomicU64], cell: [u32; 3]| {
@@ -132,13 +137,22 @@ impl Voxels {
             rasterizer.triangle([a, b, b], &mut |cell| set(&rim, cell));
         });
         check(cancel)?;
-        Ok(Self { surface: Occupancy::new(resolution, &surface), rim: Occupancy::new(resolution, &rim) })
+        let occupancy = |bits: Vec<AtomicU64>| {
+            Occupancy::new(resolution, |cell| bits[cell / 64].load(Ordering::Relaxed) >> (cell % 64) & 1 == 1)
+        };
+        Ok(Self { surface: occupancy(surface), rim: occupancy(rim) })
+    }
+
+    /// From a bit for each cell, x running fastest.
+    pub(crate) fn from_words(resolution: u32, surface: &[u32], rim: &[u32]) -> Self {
+        let occupancy = |words: &[u32]| Occupancy::new(resolution, |cell| words[cell / 32] >> (cell % 32) & 1 == 1);
+        Self { surface: occupancy(surface), rim: occupancy(rim) }
     }
 }
 
 /// `resolution` cells along each axis of the grid's unit cube, each grown by more than halving a triangle or an edge of a
 /// mesh with such `bounds` rounds away.
-pub(super) fn lattice(bounds: &Aabb, grid: &ShaftGrid, resolution: u32) -> Lattice {
+pub(crate) fn lattice(bounds: &Aabb, grid: &ShaftGrid, resolution: u32) -> Lattice {
     let origin = grid.from_unit(DVec3::ZERO).as_vec3();
     let cell = 1.0 / (grid.unit_scale() * f64::from(resolution));
     let largest = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element());
@@ -146,31 +160,41 @@ pub(super) fn lattice(bounds: &Aabb, grid: &ShaftGrid, resolution: u32) -> Latti
     Lattice { origin, cell, dims: [resolution; 3], growth }
 }
 
-struct Rasterizer {
-    lattice: Lattice,
+/// Finds the cells that triangles meet, in pieces that do not span many.
+pub(crate) struct Rasterizer {
+    pub lattice: Lattice,
 }
 
 impl Rasterizer {
+    pub(crate) fn new(bounds: &Aabb, grid: &ShaftGrid, resolution: u32) -> Self {
+        Self { lattice: lattice(bounds, grid, resolution) }
+    }
+
     /// Names the cells of a triangle, some of them several times.
     fn triangle(&self, corners: [Vec3; 3], visit: &mut impl FnMut([u32; 3])) {
+        self.pieces(corners, &mut |piece| self.lattice.triangle_cells(piece, self.lattice.all(), &mut *visit));
+    }
+
+    /// Cuts a triangle into such pieces.
+    pub(crate) fn pieces(&self, corners: [Vec3; 3], visit: &mut impl FnMut([Vec3; 3])) {
         let sides = [corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]];
         let cells = |side: Vec3| (side.as_dvec3().abs() / self.lattice.cell).max_element();
         let lengths = sides.map(cells);
         let longest = (0..3).max_by(|&a, &b| lengths[a].total_cmp(&lengths[b])).unwrap_or(0);
         if lengths[longest] <= LONG || !lengths[longest].is_finite() {
-            self.lattice.triangle_cells(corners, self.lattice.all(), visit);
+            visit(corners);
             return;
         }
         let (a, b, c) = (corners[longest], corners[(longest + 1) % 3], corners[(longest + 2) % 3]);
         let middle = 0.5 * a + 0.5 * b;
-        self.triangle([a, middle, c], visit);
-        self.triangle([middle, b, c], visit);
+        self.pieces([a, middle, c], visit);
+        self.pieces([middle, b, c], visit);
     }
 }
 
 /// Edges that an odd number of triangles share, after vertices at one place are made one. Triangles that no ray can hit
 /// do not count.
-fn rim_edges(mesh: &Mesh) -> Vec<[Vec3; 2]> {
+pub(crate) fn rim_edges(mesh: &Mesh) -> Vec<[Vec3; 2]> {
     let places = welded(&mesh.positions);
     let mut edges: Vec<u64> = (0..mesh.triangles.len())
         .into_par_iter()

@@ -4,6 +4,7 @@
 //! the same picture. Where there is no GPU, a software Vulkan such as Mesa's lavapipe runs them.
 
 mod adapter;
+mod build;
 mod context;
 mod flat;
 mod gates;
@@ -23,6 +24,7 @@ mod tracer;
 use std::sync::Arc;
 
 pub use adapter::{REQUIRED_STORAGE_BUFFERS, adapters, is_software};
+pub use build::{BuiltLineSpace, LineSpaceBuilder};
 pub use context::Context;
 pub use shafts::{LocatedShaft, locate_shafts};
 pub use structure::{HostStructure, MeshView, PlacementView};
@@ -38,6 +40,7 @@ use crate::settings::RenderSettings;
 pub struct GpuDevice {
     context: Arc<Context>,
     structure: Kept,
+    builder: Arc<LineSpaceBuilder>,
 }
 
 impl GpuDevice {
@@ -53,7 +56,8 @@ impl GpuDevice {
 
     /// The device that renders on `context`, for whoever shares it.
     pub fn with_context(context: Arc<Context>) -> Self {
-        Self { context, structure: Kept::default() }
+        let builder = Arc::new(LineSpaceBuilder::new(Arc::clone(&context)));
+        Self { context, structure: Kept::default(), builder }
     }
 
     pub fn context(&self) -> &Arc<Context> {
@@ -83,5 +87,9 @@ impl Device for GpuDevice {
         let structure = self.structure.of_scene(&self.context, &scene)?;
         let renderer = renderer::GpuRenderer::new(self.context.clone(), structure, scene, settings)?;
         Ok(Box::new(renderer))
+    }
+
+    fn line_space_builder(&self) -> Option<Arc<LineSpaceBuilder>> {
+        Some(Arc::clone(&self.builder))
     }
 }

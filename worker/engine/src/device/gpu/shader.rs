@@ -37,17 +37,18 @@ pub(super) fn compose_text(stage: &'static str, text: &str, variant: &Variant<'_
     for (name, value) in &variant.constants {
         wgsl.push_str(&format!("const {name} = {value};\n"));
     }
-    append(&mut wgsl, text, variant, &mut Vec::new());
+    append(&mut wgsl, stage, text, variant, &mut Vec::new());
     Source { stage, wgsl }
 }
 
-fn append(out: &mut String, text: &str, variant: &Variant<'_>, included: &mut Vec<String>) {
+fn append(out: &mut String, stage: &str, text: &str, variant: &Variant<'_>, included: &mut Vec<String>) {
     for line in text.lines() {
         if let Some(asked) = line.strip_prefix("//!include ") {
             if !included.iter().any(|known| known == asked) {
                 included.push(asked.to_owned());
-                let replacement = variant.replacements.iter().find(|(from, _)| *from == asked);
-                append(out, lookup(SHARED, replacement.map_or(asked, |(_, to)| to)), variant, included);
+                let stand_ins = STAND_INS.iter().filter(|(of, _)| *of == stage).flat_map(|(_, all)| all.iter());
+                let replacement = variant.replacements.iter().chain(stand_ins).find(|(from, _)| *from == asked);
+                append(out, stage, lookup(SHARED, replacement.map_or(asked, |(_, to)| to)), variant, included);
             }
         } else if let Some(name) = line.strip_prefix("//!pool ") {
             let pool = variant.pools.iter().find(|pool| pool.name == name);
@@ -69,12 +70,18 @@ macro_rules! embed {
     };
 }
 
+/// Shared files that stand in for others in all variants of a stage: (asked for, taken).
+const STAND_INS: &[(&str, &[(&str, &str)])] = &[
+    ("build_cast", &[("intersect", "intersect_bounds"), ("candidates", "candidates_nearest")]),
+    ("build_classes", &[("intersect", "intersect_bounds"), ("candidates", "candidates_all")]),
+];
+
 pub(super) const STAGES: &[(&str, &str)] = embed!(
-    "": "accumulate", "first_hit", "generate", "locate_shafts", "prepare", "shade_ao", "shade_normal", "shade_path", "shade_whitted",
+    "": "accumulate", "build_cast", "build_classes", "build_mask", "build_voxels", "first_hit", "generate", "locate_shafts", "prepare", "shade_ao", "shade_normal", "shade_path", "shade_whitted",
     "tally", "trace_closest", "trace_shadow"
 );
 const SHARED: &[(&str, &str)] = embed!(
-    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "candidates", "environment", "gate", "gate_tell", "intersect", "lights",
-    "math", "paths", "queue", "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "traverse",
+    "shared/": "accept_all", "accept_alpha", "bsdf", "camera", "candidates", "candidates_all", "candidates_nearest", "environment", "found", "gate", "gate_tell", "intersect", "intersect_bounds", "lights", "lines",
+    "math", "paths", "queue", "rays", "sampler", "scattering", "scene", "shading", "shaft", "surface", "texture", "trace_ray", "traverse",
     "traverse_baseline", "traverse_cells", "vertex"
 );
