@@ -7,6 +7,7 @@ use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams, NodeSpace
 use lightshaft_engine::accel::{
     BuildError, BuildParams, CorruptStructure, MeshStructure, Structure, StructureKey, StructureParams, WeakStructure,
 };
+use lightshaft_engine::device::gpu::LineSpaceBuilder;
 use lightshaft_engine::scene::Mesh;
 
 /// How something over a mesh is made.
@@ -15,7 +16,8 @@ pub trait Recipe {
 
     fn key(&self, mesh: &Mesh) -> StructureKey;
 
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Self::Product, BuildError>;
+    /// What there is to tell beside the product goes to `warnings`.
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool, warnings: &mut Vec<String>) -> Result<Self::Product, BuildError>;
 
     /// Reads what [`Cached::encode`] wrote, and checks it.
     fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Self::Product, CorruptStructure>;
@@ -91,7 +93,7 @@ impl Recipe for StructureParams {
         StructureParams::key(self, mesh.hash)
     }
 
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Structure, BuildError> {
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool, _: &mut Vec<String>) -> Result<Structure, BuildError> {
         Structure::build(mesh, self, cancel)
     }
 
@@ -128,8 +130,10 @@ impl From<Structure> for Kept {
 pub struct LineSpaceRecipe<'a> {
     pub params: LineSpaceParams,
     /// Any structure over the mesh: it serves the building, and decides nothing.
-    pub structure: &'a MeshStructure,
+    pub structure: &'a Arc<MeshStructure>,
     pub budget_bytes: u64,
+    /// What builds it, else the CPU does. The outcome is the same, so it is no part of the key.
+    pub on_gpu: Option<&'a LineSpaceBuilder>,
 }
 
 impl Recipe for LineSpaceRecipe<'_> {
@@ -139,8 +143,18 @@ impl Recipe for LineSpaceRecipe<'_> {
         self.params.key(mesh.hash)
     }
 
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Arc<LineSpace>, BuildError> {
-        LineSpace::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new)
+    fn build(
+        &self,
+        mesh: &Mesh,
+        cancel: &AtomicBool,
+        warnings: &mut Vec<String>,
+    ) -> Result<Arc<LineSpace>, BuildError> {
+        let Some(builder) = self.on_gpu else {
+            return LineSpace::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new);
+        };
+        let built = builder.build(mesh, self.structure, &self.params, self.budget_bytes, cancel)?;
+        warnings.extend(built.warning);
+        Ok(Arc::new(built.space))
     }
 
     fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Arc<LineSpace>, CorruptStructure> {
@@ -188,7 +202,7 @@ impl Recipe for NodeSpacesRecipe<'_> {
         self.params.key(mesh.hash, &self.over)
     }
 
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Arc<NodeSpaces>, BuildError> {
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool, _: &mut Vec<String>) -> Result<Arc<NodeSpaces>, BuildError> {
         NodeSpaces::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new)
     }
 

@@ -194,7 +194,7 @@ impl StructureCache {
         warnings: &mut Vec<String>,
     ) -> Result<R::Product, BuildError> {
         let started = Instant::now();
-        let structure = recipe.build(mesh, cancel)?;
+        let structure = recipe.build(mesh, cancel, warnings)?;
         let build_s = started.elapsed().as_secs_f64();
         let encoded = (self.disk.is_some() || store.is_some()).then(|| structure.encode());
         let structure = self.remember(key, structure);

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use lightshaft_api::settings::DeviceChoice;
 use lightshaft_api::worker;
 use lightshaft_engine::device::cpu::CpuDevice;
-use lightshaft_engine::device::gpu::{self, GpuDevice};
+use lightshaft_engine::device::gpu::{self, GpuDevice, LineSpaceBuilder};
 use lightshaft_engine::device::{Device, DeviceError, DeviceInfo, Renderer};
 use lightshaft_engine::pack::PackedScene;
 use lightshaft_engine::settings::RenderSettings;
@@ -100,23 +100,40 @@ impl Devices {
         settings: &RenderSettings,
     ) -> Result<OnDevice, DeviceError> {
         let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut device: Box<dyn Device> = match open.remove(choice) {
-            Some(device) => device,
-            None => match choice {
-                Choice::Cpu => Box::new(CpuDevice::new()),
-                Choice::Gpu(adapter) => Box::new(GpuDevice::open(adapter.as_deref())?),
-            },
-        };
+        let mut device = take_or_open(&mut open, choice)?;
         let renderer = device.prepare(Arc::clone(scene), settings)?;
         let info = device.info();
         open.insert(choice.clone(), device);
         Ok(OnDevice { renderer, info })
     }
 
+    /// What builds Line Spaces for a job: the GPU that it is to run on. None where the CPU builds them, also where the device cannot be
+    /// opened, for then the job does not run on it.
+    pub(crate) fn line_space_builder(
+        &self,
+        wanted: DeviceChoice,
+        adapter: Option<&str>,
+    ) -> Option<Arc<LineSpaceBuilder>> {
+        let choice = self.choose(wanted, adapter).ok().filter(|choice| *choice != Choice::Cpu)?;
+        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        let device = take_or_open(&mut open, &choice).ok()?;
+        let builder = device.line_space_builder();
+        open.insert(choice, device);
+        builder
+    }
+
     /// Forgets a device that was lost.
     pub(super) fn close(&self, choice: &Choice) {
         self.open.lock().unwrap_or_else(PoisonError::into_inner).remove(choice);
     }
+}
+
+fn take_or_open(open: &mut HashMap<Choice, Box<dyn Device>>, choice: &Choice) -> Result<Box<dyn Device>, DeviceError> {
+    Ok(match (open.remove(choice), choice) {
+        (Some(device), _) => device,
+        (None, Choice::Cpu) => Box::new(CpuDevice::new()),
+        (None, Choice::Gpu(adapter)) => Box::new(GpuDevice::open(adapter.as_deref())?),
+    })
 }
 
 fn describe(info: DeviceInfo) -> worker::Device {

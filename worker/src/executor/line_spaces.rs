@@ -85,10 +85,11 @@ impl Executor {
         params: &LineSpaceParams,
         wanted: &LineSpaces,
     ) -> Result<ObtainedLineSpaces, TaskError> {
+        let builder = self.devices.line_space_builder(task.settings.device, task.settings.adapter.as_deref());
         let meshes = scene.meshes.iter().zip(structures).map(|(mesh, structure)| match structure {
             Structure::Bvh(bvh) if mesh.primitive_count() >= MIN_PRIMITIVES => {
-                let budget_bytes = wanted.mesh_budget_bytes;
-                Some((&**mesh, LineSpaceRecipe { params: *params, structure: bvh, budget_bytes }))
+                let (budget_bytes, on_gpu) = (wanted.mesh_budget_bytes, builder.as_deref());
+                Some((&**mesh, LineSpaceRecipe { params: *params, structure: bvh, budget_bytes, on_gpu }))
             }
             Structure::Bvh(_) | Structure::Cells(_) => None,
         });

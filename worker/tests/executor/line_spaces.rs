@@ -9,7 +9,7 @@ use lightshaft_api::settings::{
     RenderSettings, StructureKind,
 };
 use lightshaft_engine::scene::KINDS;
-use lightshaft_worker::executor::{Outputs, TaskError};
+use lightshaft_worker::executor::{Executor, Outputs, TaskError};
 
 use crate::common::*;
 
@@ -65,36 +65,65 @@ fn with_exact_every_payload_gives_the_picture_of_the_structure_alone_on_every_sc
     assert!(answered > 10_000, "only {answered} rays were answered: the test says little");
 }
 
-/// The GPU reads the Line Spaces that the CPU built: one payload of each kind of record.
+/// On every scene, each integrator with another payload: all of them come by. What the device has kernels for, it also builds.
 #[test]
-fn with_exact_the_picture_on_the_gpu_is_that_of_the_structure_alone_too() {
+fn with_exact_the_picture_on_the_gpu_is_that_of_the_structure_alone_on_every_scene() {
     let executor = executor_on(DeviceChoice::Auto);
+    let mut payloads = payloads().into_iter().cycle();
     let mut answered = 0;
-    for kind in ["forest", "pile", "foliage-cards"] {
+    for kind in KINDS.iter().map(|kind| kind.name) {
         let inputs = small_scene(kind);
-        let plain = RenderSettings {
-            device: DeviceChoice::Gpu,
-            acceleration: Acceleration::default(),
-            ..with_line_space(LineSpace::default())
-        };
-        let expected = run(&executor, &TaskWork::Frame, &plain, &inputs);
-        for line_space in payloads().into_iter().take(3) {
-            let settings = RenderSettings { device: DeviceChoice::Gpu, ..with_line_space(line_space.clone()) };
-            let outputs = run(&executor, &TaskWork::Frame, &settings, &inputs);
+        for integrator in [Integrator::Path, Integrator::Ao, Integrator::Direct, Integrator::Whitted] {
+            let on_gpu = |acceleration| RenderSettings {
+                device: DeviceChoice::Gpu,
+                integrator,
+                acceleration,
+                ..with_line_space(LineSpace::default())
+            };
+            let expected = run(&executor, &TaskWork::Frame, &on_gpu(Acceleration::default()), &inputs);
+            let line_space = payloads.next().expect("without end");
+            let asked = Acceleration { line_space: Some(line_space.clone()), ..Acceleration::default() };
+            let outputs = run(&executor, &TaskWork::Frame, &on_gpu(asked), &inputs);
             assert_eq!(outputs.metrics.device_kind, "gpu");
             assert!(pixels(&outputs) == pixels(&expected), "{kind}: {line_space:?} changes the picture");
             let used = outputs.metrics.line_space.expect("a job with line spaces");
             answered += used.empty + used.opaque;
             let told = used.starts_inside + used.beside + used.empty + used.opaque + used.mixed + used.too_far;
             assert_eq!(used.rays, told, "{used:?}");
-            // What pays on the CPU says nothing of a GPU.
-            let line_space = LineSpace { ask: Ask::WhereItPays, ..line_space };
-            let settings = RenderSettings { device: DeviceChoice::Gpu, ..with_line_space(line_space) };
-            let used = run(&executor, &TaskWork::Frame, &settings, &inputs).metrics.line_space;
-            assert_eq!(used.map(|used| (used.asked, used.rays)), Some((0, 0)));
         }
     }
     assert!(answered > 1000, "only {answered} rays were answered: the test says little");
+}
+
+/// What pays on the CPU says nothing of a GPU.
+#[test]
+fn a_gpu_asks_none_where_only_what_pays_is_asked() {
+    let executor = executor_on(DeviceChoice::Auto);
+    let line_space = LineSpace { ask: Ask::WhereItPays, ..LineSpace::default() };
+    let settings = RenderSettings { device: DeviceChoice::Gpu, ..with_line_space(line_space) };
+    let used = run(&executor, &TaskWork::Frame, &settings, &small_scene("pile")).metrics.line_space;
+    assert_eq!(used.map(|used| (used.asked, used.rays)), Some((0, 0)));
+}
+
+/// One cache serves both: what one device built, the other finds, and it is the same to the last byte.
+#[test]
+fn both_devices_build_the_same_line_spaces_under_one_key() {
+    let inputs = small_scene("pile");
+    for line_space in payloads() {
+        let spaces = |executor: &Executor, device| {
+            let settings = RenderSettings { device, ..with_line_space(line_space.clone()) };
+            let outputs = run(executor, &TaskWork::Frame, &settings, &inputs);
+            let reports =
+                outputs.metrics.cache.into_iter().filter(|report| report.structure.starts_with("line_space "));
+            reports.map(|report| (report.mesh, report.structure, report.source, report.bytes)).collect::<Vec<_>>()
+        };
+        let (first, second) = (executor_on(DeviceChoice::Auto), executor_on(DeviceChoice::Auto));
+        let on_gpu = spaces(&first, DeviceChoice::Gpu);
+        assert!(!on_gpu.is_empty() && on_gpu.iter().all(|(_, _, source, _)| *source == CacheSource::Built));
+        assert_eq!(on_gpu, spaces(&second, DeviceChoice::Cpu), "{line_space:?}");
+        let found = spaces(&first, DeviceChoice::Cpu);
+        assert!(found.iter().all(|(_, _, source, _)| *source == CacheSource::Memory), "{line_space:?}: {found:?}");
+    }
 }
 
 #[test]

@@ -111,6 +111,7 @@ fn line_spaces_are_kept_like_any_structure() {
         params: LineSpaceParams { n, ..LineSpaceParams::DEFAULT_CLASSES },
         structure: &structure,
         budget_bytes: 1 << 20,
+        on_gpu: None,
     };
     let shelf = Shelf::default();
     let obtain = |cache: &StructureCache, n| cache.get(&mesh, &recipe(n), Some(&shelf), &GO).unwrap();
