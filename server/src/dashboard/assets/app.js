@@ -10,8 +10,14 @@ import { startCompare } from './compare.js';
 import { startKeys } from './keys.js';
 import { hideMissingImages } from './images.js';
 
-// On a narrow screen the page's own name may lie outside of the row of pages.
-document.querySelector('header nav [aria-current]')?.scrollIntoView({ block: 'nearest', inline: 'center' });
+// On a narrow screen the page's own name may lie outside of the row of pages. Not by scrollIntoView: the Tab key would then
+// begin there.
+const here = document.querySelector('header nav [aria-current]');
+if (here) {
+  const row = here.closest('nav');
+  const [inner, outer] = [here.getBoundingClientRect(), row.getBoundingClientRect()];
+  row.scrollLeft += inner.left + inner.width / 2 - outer.left - outer.width / 2;
+}
 hideMissingImages();
 startKeys();
 startLive();
