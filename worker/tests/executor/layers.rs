@@ -104,8 +104,9 @@ fn layers_show_where_empty_and_opaque_shafts_answer() {
 #[test]
 fn the_camera_s_rays_and_nodes_of_an_ntree_are_told_of_too() {
     let (executor, inputs) = (executor(), small_scene("forest"));
-    let line_space =
-        LineSpace { payload: LineSpacePayload::Binary, depth: Some(2), ask: Ask::Always, ..LineSpace::default() };
+    // Patches of one cell: wider ones of so few cells have no empty shaft here.
+    let (payload, n) = (LineSpacePayload::Binary, Some(4));
+    let line_space = LineSpace { payload, n, depth: Some(2), ask: Ask::Always, ..LineSpace::default() };
     let structure = StructureKind::NTree;
     let ntree = Acceleration { structure, n: Some(4), line_space: Some(line_space), ..Acceleration::default() };
     let settings = RenderSettings { integrator: Integrator::Aov, ..with_layers(ntree) };
