@@ -47,7 +47,7 @@ pub struct Compared {
     #[serde(flatten)]
     pub report: CompareReport,
     /// Address of the FLIP error (HDR-FLIP where that was wanted) of every pixel as a picture (magma: 0 is black, 1 pale
-    /// yellow).
+    /// yellow) with a scale bar to the right; `&scale=false` leaves that out.
     pub heat_map: String,
     /// Address of the absolute difference as a picture.
     pub difference: String,

@@ -37,6 +37,21 @@ impl Gltf {
         Self { document, buffer }
     }
 
+    /// Of a good .glb file.
+    ///
+    /// # Panics
+    /// When it is none.
+    pub fn from_glb(bytes: &[u8]) -> Self {
+        let length = |at: usize| {
+            let field: [u8; 4] = bytes[at..at + 4].try_into().expect("four bytes");
+            u32::from_le_bytes(field) as usize
+        };
+        // A header of 12 bytes, then two chunks with headers of 8.
+        let json_end = 20 + length(12);
+        let document = serde_json::from_slice(&bytes[20..json_end]).expect("a JSON chunk");
+        Self { document, buffer: bytes[json_end + 8..json_end + 8 + length(json_end)].to_vec() }
+    }
+
     /// Changes the value at a JSON pointer, which must exist.
     pub fn with(mut self, pointer: &str, value: Value) -> Self {
         *self.document.pointer_mut(pointer).unwrap_or_else(|| panic!("{pointer} in the document")) = value;

@@ -97,7 +97,7 @@ pub struct ImageFigures {
     pub pixels: u64,
 }
 
-/// A per-pixel Z-test with Sidak's correction.
+/// A per-pixel Z-test with Sidak's correction, on every level of an image pyramid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ZTestFigures {
     /// Pixels that fail.
@@ -107,4 +107,24 @@ pub struct ZTestFigures {
     pub max_z: f64,
     /// A statistic beyond this fails.
     pub critical_z: f64,
+    /// Blocks of 2, 4, 8 and so on pixels on a side, up to one that is the whole picture. Empty of runs of older versions.
+    #[serde(default)]
+    pub blocks: Vec<ZTestBlocks>,
+}
+
+/// The test of the means of all blocks of one size.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ZTestBlocks {
+    /// Pixels on a side of a block.
+    pub side: u32,
+    pub failing: u64,
+    pub blocks: u64,
+    pub max_z: f64,
+    pub critical_z: f64,
+}
+
+impl ZTestFigures {
+    pub fn failing_blocks(&self) -> u64 {
+        self.blocks.iter().map(|level| level.failing).sum()
+    }
 }

@@ -41,14 +41,16 @@ pub struct ImageLimits {
     pub z_test: Option<ZTest>,
 }
 
-/// The per-pixel test of the mean of a run's repetitions against the mean and variance of the baseline's.
+/// The per-pixel test of the mean of a run's repetitions against that of the baseline's, by how far repetitions scatter; of
+/// blocks of 2, 4, 8 and so on pixels on a side too, where what is faint and wide shows. Takes at least 4 repetitions; 6 or
+/// more tell small changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ZTest {
-    /// The chance that an unchanged picture fails at a pixel, over all pixels together (corrected after Sidak); 1e-6 to 0.5.
+    /// The chance that an unchanged picture fails anywhere, over all pixels and blocks together (corrected after Sidak); 1e-6
+    /// to 0.5.
     pub significance: f64,
-    /// Share of the pixels that may fail nevertheless, 0 to 0.1: the test supposes a normal distribution, and fireflies have
-    /// none.
+    /// Share of the single pixels that may fail nevertheless, 0 to 0.1. No block may: what changes a region changes blocks.
     pub max_failing: f64,
 }
 

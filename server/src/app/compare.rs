@@ -54,8 +54,9 @@ pub(super) struct Comparisons(Mutex<VecDeque<(ComparisonKey, Arc<Finding>)>>);
 
 struct Finding {
     figures: Figures,
-    /// PNG.
+    /// PNG, with a scale bar and without.
     heat_map: Bytes,
+    bare_heat_map: Bytes,
 }
 
 /// Which of the two pictures.
@@ -182,9 +183,10 @@ impl App {
         })
     }
 
-    /// The FLIP or HDR-FLIP error of every pixel as a PNG.
-    pub async fn heat_map(&self, key: &ComparisonKey) -> ApiResult<Bytes> {
-        Ok(self.find_or_compare(key, Asked::Address).await?.heat_map.clone())
+    /// The FLIP or HDR-FLIP error of every pixel as a PNG, with a scale bar beside it or alone.
+    pub async fn heat_map(&self, key: &ComparisonKey, scale: bool) -> ApiResult<Bytes> {
+        let found = self.find_or_compare(key, Asked::Address).await?;
+        Ok(if scale { &found.heat_map } else { &found.bare_heat_map }.clone())
     }
 
     /// The absolute difference times `gain` as a PNG.
@@ -244,7 +246,8 @@ impl App {
         let finding = self.with_pair(key, asked, move |a, b| {
             let outcome = comparing::layers(a, b, &options, hdr)?;
             let heat_map = comparing::heat_map_png(&outcome.error_map)?.into();
-            Ok(Finding { figures: outcome.figures, heat_map })
+            let bare_heat_map = comparing::bare_heat_map_png(&outcome.error_map)?.into();
+            Ok(Finding { figures: outcome.figures, heat_map, bare_heat_map })
         });
         let finding = Arc::new(finding.await?);
         self.comparisons.keep(key.clone(), Arc::clone(&finding));

@@ -23,7 +23,7 @@ pub(crate) struct Args {
     /// Which layer of OpenEXR files: `depth`, `shading_normal`, `instance_id` and so on.
     #[arg(long, default_value = COLOR)]
     layer: String,
-    /// Write the FLIP error of every pixel as a picture (magma: 0 is black, 1 pale yellow).
+    /// Write the FLIP error of every pixel as a picture (magma: 0 is black, 1 pale yellow), with a scale bar to its right.
     #[arg(long, value_name = "OUT.png")]
     heat_map: Option<PathBuf>,
     /// Exit with 1 when the root mean square error is above this; of linear colour, or in the layer's units.

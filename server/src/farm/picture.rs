@@ -1,10 +1,12 @@
 //! Pictures: a case's against the ones that were accepted.
 
 use lightshaft_api::farm::{
-    ImageFigures, ImageLimits, ImageResult, ImageTolerance, ImageVerdict, PictureSource, ZTest, ZTestFigures,
+    ImageFigures, ImageLimits, ImageResult, ImageTolerance, ImageVerdict, PictureSource, ZTest, ZTestBlocks,
+    ZTestFigures,
 };
 use lightshaft_compare::{
-    Comparison, Image, Moments, Options, PIXELS_PER_DEGREE, Plane, ZTestOptions, compare, hdr_flip, z_test,
+    Comparison, Image, LEAST_RENDERINGS, Options, PIXELS_PER_DEGREE, Plane, ZTestLevel, ZTestOptions, compare,
+    hdr_flip, z_test,
 };
 
 /// A picture and its identity.
@@ -155,29 +157,47 @@ fn hdr_flip_mean(picture: &Decoded, accepted: &Known) -> Option<f64> {
 }
 
 fn run_z_test(test: &ZTest, known: &Known, pictures: &[Decoded]) -> Result<ZTestFigures, String> {
-    let moments =
-        |renderings: &[Decoded]| Moments::of(&renderings.iter().map(|one| one.image.clone()).collect::<Vec<_>>());
-    let failed = |error: lightshaft_compare::Error| format!("the Z-test cannot be made: {error}");
-    let reference = moments(&known.renderings).map_err(failed)?;
-    let found = moments(pictures).map_err(failed)?;
+    let images = |renderings: &[Decoded]| renderings.iter().map(|one| one.image.clone()).collect::<Vec<_>>();
+    for (whose, count) in [("the accepted picture", known.renderings.len()), ("the run", pictures.len())] {
+        if count < LEAST_RENDERINGS {
+            let detail = format!("{whose} has {count} repetitions with seeds of their own");
+            return Err(format!(
+                "too few samples for the Z-test: {detail}, and it takes {LEAST_RENDERINGS} on each side"
+            ));
+        }
+    }
     let options = ZTestOptions { significance: test.significance };
-    let tested = z_test(&reference, &found, &options).map_err(failed)?;
+    let tested = z_test(&images(&known.renderings), &images(pictures), &options);
+    let levels = tested.map_err(|error| format!("the Z-test cannot be made: {error}"))?.levels;
+    let [pixels, blocks @ ..] = levels.as_slice() else { return Err("the Z-test found no pixels".to_owned()) };
+    let to_blocks = |&ZTestLevel { side, failing, blocks, max_z, critical_z }: &ZTestLevel| ZTestBlocks {
+        side,
+        failing,
+        blocks,
+        max_z,
+        critical_z,
+    };
     Ok(ZTestFigures {
-        failing_pixels: tested.failing_pixels,
-        pixels: tested.pixels,
-        max_z: tested.max_z,
-        critical_z: tested.critical_z,
+        failing_pixels: pixels.failing,
+        pixels: pixels.blocks,
+        max_z: pixels.max_z,
+        critical_z: pixels.critical_z,
+        blocks: blocks.iter().map(to_blocks).collect(),
     })
 }
 
 fn over_z_test(test: &ZTest, found: &ZTestFigures) -> Option<String> {
     let share = found.failing_pixels as f64 / found.pixels.max(1) as f64;
-    (share > test.max_failing).then(|| {
-        format!(
-            "{} of {} pixels differ by more than their noise explains (up to {:.1} standard deviations)",
-            found.failing_pixels, found.pixels, found.max_z
-        )
-    })
+    let pixels = (share > test.max_failing).then(|| {
+        let (failing, pixels, max_z) = (found.failing_pixels, found.pixels, found.max_z);
+        format!("{failing} of {pixels} pixels (up to {max_z:.1} standard deviations)")
+    });
+    let blocks = found.blocks.iter().filter(|level| level.failing > 0).map(|level| {
+        let ZTestBlocks { side, failing, blocks, max_z, .. } = level;
+        format!("{failing} of {blocks} blocks of {side} x {side} pixels (up to {max_z:.1})")
+    });
+    let over: Vec<String> = pixels.into_iter().chain(blocks).collect();
+    (!over.is_empty()).then(|| format!("more than noise explains differ {}", over.join(", ")))
 }
 
 #[cfg(test)]
@@ -305,8 +325,23 @@ mod tests {
         let accepted = [known(&seeds(0.5, 1..7))];
         let same = judge_picture(&tolerance, &seeds(0.5, 11..17), &accepted).unwrap().result;
         assert_eq!(same.verdict, ImageVerdict::WithinTolerance, "{same:?}");
-        let darker = judge_picture(&tolerance, &seeds(0.2, 21..27), &accepted).unwrap().result;
+        let darker = judge_picture(&tolerance, &seeds(0.02, 21..27), &accepted).unwrap().result;
         assert_eq!(darker.verdict, ImageVerdict::Changed);
-        assert!(darker.z_test.unwrap().failing_pixels > 200);
+        assert!(darker.z_test.unwrap().failing_pixels > 100);
+
+        let hardly = judge_picture(&tolerance, &seeds(0.48, 21..27), &accepted).unwrap().result;
+        let figures = hardly.z_test.unwrap();
+        assert_eq!((hardly.verdict, figures.failing_pixels), (ImageVerdict::Changed, 0), "{figures:?}");
+        assert!(figures.failing_blocks() > 0 && hardly.reason.unwrap().contains("blocks of 16 x 16 pixels"));
+    }
+
+    #[test]
+    fn too_few_samples_are_told_as_such() {
+        let tolerance = limits(|l| l.z_test = Some(ZTest::default()));
+        let run: Vec<Decoded> = (0..4_u8).map(|i| grey(4, 4, &[0.5 + f32::from(i) / 100.0])).collect();
+        let result = judge_picture(&tolerance, &run, &[known(&[grey(4, 4, &[0.4])])]).unwrap().result;
+        assert_eq!((result.verdict, &result.z_test), (ImageVerdict::Changed, &None));
+        let reason = result.reason.unwrap();
+        assert!(reason.starts_with("too few samples") && reason.contains("the accepted picture has 1"), "{reason}");
     }
 }

@@ -2,7 +2,8 @@
 
 use lightshaft_api::compare::{CompareReport, HdrFlipFigures};
 use lightshaft_compare::{
-    Error, HdrFlip, Image, Options, Plane, Report, compare, differences, flip, hdr_flip, heat_map, psnr, ssim,
+    Differences, Drawing, Error, HdrFlip, Image, Options, Plane, Report, compare, differences, flip, hdr_flip,
+    heat_map, heat_map_with_scale, psnr, ssim,
 };
 use lightshaft_engine::film::{AovLayer, LayerKind, encode_png_srgb8, integer_value};
 
@@ -64,7 +65,8 @@ impl Pixels {
         self.is_color && !self.display_referred
     }
 
-    /// As three channels each; ids as floats, exact below 2^24, "none" as infinity.
+    /// As three channels each; integers as floats (which [`layers`] and [`difference_png`] tell apart exactly nevertheless),
+    /// "none" as infinity.
     pub fn image(&self) -> Result<Image, Error> {
         let pixels: Vec<[f32; 3]> = match &self.layer {
             AovLayer::Vector(values) => values.clone(),
@@ -118,7 +120,10 @@ fn spread_layers(a: &Pixels, b: &Pixels, images: [&Image; 2], options: &Options)
         let pixels = image.pixels().iter().map(|pixel| pixel.map(|value| (value - low) / span)).collect();
         Image::new(image.width(), image.height(), pixels)
     };
-    let differences = differences(first, second, options.tolerance)?;
+    let mut differences = differences(first, second, options.tolerance)?;
+    if let (AovLayer::Integer(from), AovLayer::Integer(to)) = (&a.layer, &b.layer) {
+        differences = of_integers(differences, [from, to], a.width, options.tolerance);
+    }
     let (first, second) = (spread(first)?, spread(second)?);
     let flip = flip(&first, &second, 0.0, options.pixels_per_degree)?;
     let report = Report {
@@ -129,6 +134,24 @@ fn spread_layers(a: &Pixels, b: &Pixels, images: [&Image; 2], options: &Options)
         flip_p99: f64::from(flip.percentile(0.99)),
     };
     Ok(Outcome { figures: Figures { width: a.width, height: a.height, report, hdr_flip: None }, error_map: flip })
+}
+
+/// Integers told apart exactly, which floats do below 2^24 only; means stay as they were found.
+fn of_integers(found: Differences, [a, b]: [&[u32]; 2], width: u32, tolerance: f32) -> Differences {
+    let is_none = |value: u32| !integer_value(value).is_finite();
+    let (mut differing_pixels, mut largest, mut largest_at) = (0, 0, None);
+    for (i, (&a, &b)) in (0_u32..).zip(a.iter().zip(b)) {
+        if is_none(a) || is_none(b) {
+            differing_pixels += u64::from(is_none(a) != is_none(b));
+            continue;
+        }
+        let apart = a.abs_diff(b);
+        differing_pixels += u64::from(f64::from(apart) > f64::from(tolerance));
+        if apart > largest {
+            (largest, largest_at) = (apart, Some([i % width, i / width]));
+        }
+    }
+    Differences { max_difference: f64::from(largest), max_at: largest_at, differing_pixels, ..found }
 }
 
 /// Least value of both, and the distance to the greatest, which is not 0.
@@ -181,8 +204,14 @@ pub fn report(figures: &Figures, bounds: Bounds) -> CompareReport {
     }
 }
 
-/// The FLIP error of every pixel as a PNG.
+/// The FLIP error of every pixel as a PNG, with a scale bar to its right; the map lies in the upper left corner.
 pub fn heat_map_png(flip: &Plane) -> Result<Vec<u8>, PictureError> {
+    let Drawing { width, height, rgb } = heat_map_with_scale(flip);
+    png(width, height, &rgb)
+}
+
+/// The FLIP error of every pixel as a PNG of the pictures' size.
+pub fn bare_heat_map_png(flip: &Plane) -> Result<Vec<u8>, PictureError> {
     png(flip.width(), flip.height(), &heat_map(flip))
 }
 
@@ -202,8 +231,20 @@ pub fn difference_png(a: &Pixels, b: &Pixels, gain: f32) -> Result<Vec<u8>, Pict
         (false, false) => 0.0,
         _ => 1.0,
     };
-    let pairs = first.pixels().iter().zip(second.pixels());
-    let pixels = pairs.map(|(a, b)| std::array::from_fn(|i| apart((&a[i], &b[i])))).collect();
+    let pixels = match (&a.layer, &b.layer) {
+        (AovLayer::Integer(a), AovLayer::Integer(b)) => {
+            let apart = |(&a, &b): (&u32, &u32)| match (a == u32::MAX, b == u32::MAX) {
+                (false, false) => (f64::from(a.abs_diff(b)) / f64::from(span)) as f32 * gain,
+                (true, true) => 0.0,
+                _ => 1.0,
+            };
+            a.iter().zip(b).map(|pair| [apart(pair); 3]).collect()
+        }
+        _ => {
+            let pairs = first.pixels().iter().zip(second.pixels());
+            pairs.map(|(a, b)| std::array::from_fn(|i| apart((&a[i], &b[i])))).collect()
+        }
+    };
     let shown = Image::new(a.width as usize, a.height as usize, pixels).map_err(unreadable)?;
     png(shown.width(), shown.height(), &shown.to_srgb8(0.0))
 }
@@ -266,6 +307,19 @@ mod tests {
         assert_eq!((found.differing_pixels, found.non_finite_pixels), (2, 1));
         let nothing = ids(&[u32::MAX; 3]);
         assert_eq!(compared(&nothing, &nothing).report.differences.differing_pixels, 0);
+    }
+
+    #[test]
+    fn integers_beyond_what_floats_hold_are_told_apart() {
+        let large = 1 << 24;
+        let (a, b) = (ids(&[large, large, 3]), ids(&[large + 1, large, 3]));
+        let found = compared(&a, &b).report.differences;
+        assert_eq!((found.differing_pixels, found.max_difference, found.max_at), (1, 1.0, Some([0, 0])));
+        let tolerated = layers(&a, &b, &Options { tolerance: 1.0, ..Options::default() }, false).unwrap();
+        assert_eq!(tolerated.figures.report.differences.differing_pixels, 0);
+        let bytes = difference_png(&a, &b, 1e9).unwrap();
+        let picture = image::load_from_memory(&bytes).unwrap().into_rgb8();
+        assert_eq!(picture.pixels().map(|pixel| pixel.0[0]).collect::<Vec<u8>>(), [255, 0, 0]);
     }
 
     #[test]

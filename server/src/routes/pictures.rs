@@ -50,6 +50,14 @@ pub(super) struct HeatMapParams {
     /// Whether HDR-FLIP is drawn.
     #[serde(default)]
     hdr: bool,
+    /// Whether a scale bar is drawn to the right of the map, and below it where the map is low; true by default. The map
+    /// lies in the upper left corner, and without the bar has the size of the pictures.
+    #[serde(default = "yes")]
+    scale: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -202,7 +210,7 @@ pub(super) async fn compare_pictures(State(app): State<Shared>, request: Request
     Ok(Reply(app.compare(&wanted, uploads).await?))
 }
 
-/// The FLIP or HDR-FLIP error of every pixel of two blobs (magma: 0 is black, 1 pale yellow). `POST /v1/compare` answers such addresses.
+/// The FLIP or HDR-FLIP error of every pixel of two blobs (magma: 0 is black, 1 pale yellow), with a scale bar. `POST /v1/compare` answers such addresses.
 #[utoipa::path(
     get, path = "/v1/compare/{a}/{b}/heat-map.png", tag = "pictures",
     params(
@@ -227,8 +235,9 @@ pub(super) async fn get_heat_map(
         return Err(ApiError::bad_request("query/exposure", "must be -32 to 32 stops"));
     }
     let key = ComparisonKey { exposure, hdr: params.hdr, ..key(a, b, params.a_layer, params.b_layer)? };
-    let etag = etag(&format!("heat map {key:?}"));
-    file::made(&etag, "image/png", IMMUTABLE, &headers, async || Ok(Body::from(app.heat_map(&key).await?))).await
+    let scale = params.scale;
+    let etag = etag(&format!("heat map {scale} {key:?}"));
+    file::made(&etag, "image/png", IMMUTABLE, &headers, async || Ok(Body::from(app.heat_map(&key, scale).await?))).await
 }
 
 /// The absolute difference of every channel of two blobs times `gain`, as a display shows it. Layers that are no colour are

@@ -146,11 +146,19 @@ async fn jobs_are_compared_with_limits_and_pictures_that_have_addresses_of_their
         let picture = service.get(address).await;
         assert_eq!((picture.status, picture.header("content-type")), (StatusCode::OK, media_type));
         assert!(picture.header("cache-control").contains("immutable"));
-        let size = image::load_from_memory(&picture.body).unwrap();
-        assert_eq!((size.width(), size.height()), (WIDTH, HEIGHT));
         let again = service.get_with(address, &[("if-none-match", picture.header("etag"))]).await;
         assert_eq!(again.status, StatusCode::NOT_MODIFIED);
     }
+    let decoded = |answer: Answer| image::load_from_memory(&answer.body).unwrap().into_rgb8();
+    let difference = decoded(service.get(&found.difference).await);
+    assert_eq!(difference.dimensions(), (WIDTH, HEIGHT));
+    let bare = service.get(&format!("{}&scale=false", found.heat_map)).await;
+    assert_ne!(bare.header("etag"), service.get(&found.heat_map).await.header("etag"));
+    let (map, bare) = (decoded(service.get(&found.heat_map).await), decoded(bare));
+    assert_eq!(bare.dimensions(), (WIDTH, HEIGHT));
+    assert!(map.width() > WIDTH && map.height() > HEIGHT, "a scale bar stands beside it");
+    let corner = image::imageops::crop_imm(&map, 0, 0, WIDTH, HEIGHT).to_image();
+    assert_eq!(corner, bare, "the map itself is found in the corner");
     // Another service that has the same files answers the same addresses with the same bytes.
     let other = Service::start().await;
     put(&other, exr(1.0)).await;

@@ -168,7 +168,8 @@ fn a_file_renders_without_a_service_and_compares_with_itself() {
     let heat = path("heat.png");
     let different = run(&["compare", &exr, &other, "--max-rmse", "0.000001", "--heat-map", &heat]);
     assert_eq!(different.status.code(), Some(1), "the answer is no");
-    assert!(picture::shows_something(&picture::png(&std::fs::read(&heat).unwrap())));
+    let map = picture::png(&std::fs::read(&heat).unwrap());
+    assert!(picture::shows_something(&map) && map.width() > 48, "the map with its scale bar");
 
     let hdr: Value = serde_json::from_str(&run_ok(&["compare", &exr, &other, "--json", "--hdr"])).unwrap();
     assert!(hdr["hdr_flip"]["mean"].as_f64().unwrap() > 0.0 && hdr["hdr_flip"]["exposures"].as_u64().unwrap() > 1);

@@ -8,7 +8,7 @@ pub fn heat_map(error: &Plane) -> Vec<u8> {
     error.values().iter().flat_map(|&value| magma(value)).collect()
 }
 
-fn magma(value: f32) -> [u8; 3] {
+pub(crate) fn magma(value: f32) -> [u8; 3] {
     let value = if value.is_nan() { 1.0 } else { value.clamp(0.0, 1.0) };
     let [_, r, g, b] = MAGMA[(value * 255.0).round() as usize].to_be_bytes();
     [r, g, b]

@@ -1,6 +1,7 @@
 //! The images that are compared.
 
 use crate::plane::Plane;
+use crate::z_test::LEAST_RENDERINGS;
 
 /// Scene-linear RGB with BT.709 primaries, row 0 at the top. Values may be anything, NaN and infinities included.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +21,7 @@ pub enum Error {
         "the images differ in size: the reference has {reference_width} x {reference_height} pixels, the test image {test_width} x {test_height}"
     )]
     Size { reference_width: usize, reference_height: usize, test_width: usize, test_height: usize },
-    #[error("{found} renderings have no variance: it takes at least two")]
+    #[error("{found} renderings are too few to know how far they scatter: it takes at least {LEAST_RENDERINGS}")]
     Renderings { found: usize },
 }
 

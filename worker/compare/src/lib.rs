@@ -22,6 +22,7 @@ mod normal;
 mod plane;
 mod psnr;
 mod report;
+mod scale_bar;
 mod ssim;
 #[cfg(test)]
 mod test_images;
@@ -36,5 +37,6 @@ pub use image::{Error, Image};
 pub use plane::Plane;
 pub use psnr::psnr;
 pub use report::{Comparison, Options, Report, compare};
+pub use scale_bar::{Drawing, heat_map_with_scale};
 pub use ssim::ssim;
-pub use z_test::{Moments, ZTest, ZTestOptions, z_test};
+pub use z_test::{LEAST_RENDERINGS, ZTest, ZTestLevel, ZTestOptions, z_test};

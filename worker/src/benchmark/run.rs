@@ -8,7 +8,7 @@ use lightshaft_api::benchmark::{BenchmarkResults, Comparison, PictureDifference,
 use lightshaft_api::job::{Metrics, Phase};
 use lightshaft_api::problem::FieldError;
 use lightshaft_api::settings::{BenchmarkSettings, CameraChoice, DeviceChoice, Effect, RenderSettings, file_name};
-use lightshaft_compare::{Image, Options, compare, heat_map};
+use lightshaft_compare::{Image, Options, compare, heat_map_with_scale};
 use lightshaft_engine::device::cpu::CpuDevice;
 use lightshaft_engine::device::{Device, DeviceInfo, Region};
 use lightshaft_engine::film::{EncodeError, ToneMap, encode_png, encode_png_srgb8};
@@ -285,7 +285,8 @@ impl Run<'_> {
             let comparison = compare(base, &image(picture)?, &Options::default())
                 .map_err(|error| TaskError::worker(error.to_string()))?;
             if view == 0 {
-                let png = encode_png_srgb8(self.width, self.height, &heat_map(&comparison.flip), &[]);
+                let drawing = heat_map_with_scale(&comparison.flip);
+                let png = encode_png_srgb8(drawing.width as u32, drawing.height as u32, &drawing.rgb, &[]);
                 self.keep(&heat_name, png)?;
             }
             let worst = row.picture.get_or_insert(PictureDifference {

@@ -83,7 +83,8 @@ pub(super) fn figures(case: &RunCase) -> String {
         }
     }
     if let Some(test) = &image.z_test {
-        parts.push(format!("Z-test: {} of {} pixels fail", test.failing_pixels, test.pixels));
+        let (pixels, blocks) = (test.failing_pixels, test.failing_blocks());
+        parts.push(format!("Z-test: {pixels} of {} pixels and {blocks} blocks fail", test.pixels));
     }
     parts.join(", ")
 }

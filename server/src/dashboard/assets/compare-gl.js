@@ -150,6 +150,9 @@ export class GlRenderer {
       gl.uniform1i(places.toneMap, TONE_MAPS.indexOf(view.tm));
       gl.uniform1f(places.exposure, 2 ** view.ev);
       gl.uniform2f(places.range, ...view.range);
+      const [low, high] = view.range;
+      gl.uniform1ui(places.low, Math.min(Math.max(Math.round(low), 0), 2 ** 32 - 1));
+      gl.uniform1f(places.span, Math.max(high - low, 1e-30));
       gl.uniform1f(places.gain, view.gain);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }

@@ -25,6 +25,8 @@ uniform bvec2 displayed; // tone mapped already
 uniform int toneMap;     // 0 PBR Neutral, 1 AgX, 2 none
 uniform float exposure;  // factor
 uniform vec2 range;
+uniform uint low;        // of a range of integers, exact where floats are not
+uniform float span;      // of the range
 uniform float gain;
 out vec4 shown;
 
@@ -110,9 +112,11 @@ vec3 idColor(uint id) {
   return light * mix(vec3(1.0), color, 0.65);
 }
 
+// The distance of two integers, taken before it becomes a float.
+float apart(uint a, uint b) { return float(a > b ? a - b : b - a); }
+
 vec3 pictureAt(ivec2 at) {
   vec4 a = texelFetch(first, at, 0);
-  float span = max(range.y - range.x, 1e-30);
   if (kind == 4) return a.rgb;
   if (difference) {
     vec4 b = texelFetch(second, at, 0);
@@ -121,7 +125,7 @@ vec3 pictureAt(ivec2 at) {
       return encode(isFinite(a.rgb) ? abs(b.rgb - a.rgb) * exposure * gain : vec3(0.0));
     }
     if (kind == 1) return encode(abs(b.rgb - a.rgb) / span * gain);
-    if (kind == 3 && counted) return falseColor(abs(float(toInteger(b)) - float(toInteger(a))) / span * gain);
+    if (kind == 3 && counted) return falseColor(apart(toInteger(a), toInteger(b)) / span * gain);
     if (kind == 3) return toInteger(a) == toInteger(b) ? vec3(0.0) : vec3(1.0);
     if (isFinite(a.r) != isFinite(b.r)) return vec3(1.0);
     return isFinite(a.r) ? falseColor(abs(b.r - a.r) / span * gain) : NONE;
@@ -131,7 +135,7 @@ vec3 pictureAt(ivec2 at) {
   if (kind == 2) return isFinite(a.r) ? falseColor((a.r - range.x) / span) : NONE;
   uint id = toInteger(a);
   if (id == 4294967295u) return NONE;
-  return counted ? falseColor((float(id) - range.x) / span) : idColor(id);
+  return counted ? falseColor(id < low ? 0.0 : apart(id, low) / span) : idColor(id);
 }
 
 const vec3 OUTSIDE = vec3(0.09, 0.094, 0.11);

@@ -131,8 +131,9 @@ class Comparison {
     return `${source.hash} ${this.state.layer}`;
   }
 
+  // Without the scale bar of a file: the page has one of its own.
   heatKey() {
-    return this.figures?.heat_map;
+    return this.figures && `${this.figures.heat_map}&scale=false`;
   }
 
   // The service draws the difference for browsers that cannot.
@@ -306,7 +307,8 @@ class Comparison {
     scaleBar.hidden = !(isHeat || isScale) || state.plain && !isHeat;
     if (scaleBar.hidden) return;
     const [low, high] = isHeat ? [0, 1] : state.mode === 'difference' ? [0, (this.range()[1] - this.range()[0]) / state.gain] : this.range();
-    const short = (value) => String(Number(value.toPrecision(4)));
+    const isWhole = !isHeat && layer.kind === 'integer' && Number.isInteger(low) && Number.isInteger(high);
+    const short = (value) => String(isWhole ? value : Number(value.toPrecision(4)));
     scaleBar.querySelector('[data-low]').textContent = short(low);
     scaleBar.querySelector('[data-high]').textContent = short(high);
     scaleBar.querySelector('[data-what]').textContent = isHeat ? 'FLIP error' : state.mode === 'difference' ? `${layer.name} difference` : layer.name;

@@ -40,7 +40,8 @@ async fn a_picture_is_missing_then_accepted_then_identical_within_tolerance_or_c
     for artifact in &only(&broken).artifacts {
         let answer = farm.service.get(&artifact.href).await;
         assert_eq!((answer.status, answer.header("content-type")), (StatusCode::OK, "image/png"), "{}", artifact.name);
-        assert_eq!(image::load_from_memory(&answer.body).unwrap().width(), 8);
+        let width = image::load_from_memory(&answer.body).unwrap().width();
+        assert!(if artifact.name == "heat-map.png" { width > 8 } else { width == 8 }, "{} {width}", artifact.name);
         let path = format!("/v1/farm/runs/{}/cases/plain/artifacts/{}", broken.summary.id, artifact.name);
         assert_eq!(farm.service.get(&path).await.body, answer.body);
     }
