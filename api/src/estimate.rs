@@ -8,8 +8,7 @@ use utoipa::ToSchema;
 pub struct Estimate {
     /// Geometry, textures and structures in a worker's memory, roughly.
     pub scene_bytes: u64,
-    /// Line Spaces at most; 0 without, and null where only building them tells (of an N-tree, and of kinds that do not
-    /// render).
+    /// Line Spaces at most, of an N-tree roughly; 0 without, and null of kinds that neither render nor build.
     pub line_space_bytes: Option<u64>,
     /// The picture with its layers in single precision, while it is rendered; 0 for kinds that do not render.
     pub picture_bytes: u64,

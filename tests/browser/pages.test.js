@@ -46,7 +46,7 @@ test('an empty service shows how to begin, and a page says what is not there', a
   const service = await Service.start('--workers', '0');
   const empty = {
     'empty-overview': '/', 'empty-jobs': '/jobs', 'empty-job-new': '/jobs/new', 'empty-compare': '/compare',
-    'empty-farm': '/farm', 'empty-decisions': '/farm/decisions', 'empty-schedules': '/farm/schedules',
+    'empty-farm': '/farm', 'empty-decisions': '/farm/decisions', 'empty-schedules': '/farm/schedules', 'empty-webhooks': '/farm/webhooks',
     'empty-queue': '/queue', 'empty-benchmarks': '/benchmarks', 'empty-scenes': '/scenes', 'empty-meshes': '/meshes',
     'empty-workers': '/workers',
   };
@@ -56,6 +56,7 @@ test('an empty service shows how to begin, and a page says what is not there', a
     '/scenes/nope': 'there is no scene',
     '/meshes/nope': 'there is no mesh',
     '/compare?p=nope': 'there is no job',
+    '/farm/webhooks/nope': 'there is no webhook',
     '/jobs/new?from=nope': 'there is no job',
     '/jobs?state=dreaming': 'must be queued, running, succeeded, failed or cancelled',
   };

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { after, before, test } from 'node:test';
 import { Browser } from './browser.js';
 import { Service } from './service.js';
-import { addSuite, ELSEWHERE } from './world.js';
+import { addSuite, ELSEWHERE, NOBODY } from './world.js';
 
 let browser;
 let service;
@@ -134,9 +134,36 @@ test('waiting jobs are raised and cancelled, and runs are scheduled', async () =
   const [schedule] = (await service.get('/v1/farm/schedules')).items;
   assert.deepEqual([schedule.run.baseline, Object.keys(schedule.run.scenes)], ['main', ['demo']]);
   await browser.keep(tab, '7-scheduled');
+  await tab.getByRole('button', { name: 'Pause nightly' }).click();
+  await tab.getByRole('button', { name: 'Resume nightly' }).waitFor();
+  assert.deepEqual((await service.get('/v1/farm/schedules')).items.map(({ paused, next_at }) => [paused, next_at]), [[true, null]]);
   tab.once('dialog', (dialog) => dialog.accept());
   await tab.getByRole('button', { name: 'Delete nightly' }).click();
   await tab.waitForFunction(() => document.getElementById('schedules').innerText.includes('Nothing is scheduled'));
   // The pattern that is none was refused on purpose.
   assert.deepEqual(tab.wrongs.filter((wrong) => !wrong.includes('/v1/farm/schedules')), []);
+});
+
+test('a webhook is added, its message is followed and sent again', async () => {
+  const tab = await browser.tab(service.url);
+  await tab.goto(`${service.url}/farm/webhooks`);
+  await tab.fill('#add-webhook [name=url]', NOBODY);
+  await tab.fill('#add-webhook [name=secret]', '0123456789abcdef');
+  await tab.getByLabel('run.finished').check();
+  await tab.getByRole('button', { name: 'Add', exact: true }).click();
+  await tab.locator('#webhooks').getByRole('link', { name: NOBODY }).waitFor();
+  const [webhook] = (await service.get('/v1/farm/webhooks')).items;
+  assert.deepEqual([webhook.events, webhook.suite], [['run.finished'], null]);
+
+  const demo = await service.scene('demo');
+  await service.check(await addSuite(service), 'told', { demo });
+  await tab.locator('#webhooks').getByRole('link', { name: NOBODY }).click();
+  const attempts = (count) => tab.waitForFunction((wanted) => document.querySelectorAll('#deliveries .sends li').length === wanted, count);
+  await attempts(1);
+  await tab.getByText('JSON').click();
+  assert.match(await tab.innerText('#deliveries pre'), /"type": "run.finished"/);
+  await browser.keep(tab, '8-webhook');
+  await tab.getByRole('button', { name: 'Resend' }).click();
+  await attempts(2);
+  assert.deepEqual(tab.wrongs, []);
 });

@@ -1,25 +1,13 @@
 // A service on which a little of everything has happened.
+import { readFileSync } from 'node:fs';
 
-export const SUITE = `
-  name = "still life"
-  [scenes.demo]
-  generate = "demo"
-  [[case]]
-  name = "path"
-  scene = "demo"
-  device = "cpu"
-  settings = { width = 48, height = 36, spp = 4 }
-  time = "off"
-  [[case]]
-  name = "occlusion"
-  scene = "demo"
-  device = "cpu"
-  settings = { width = 48, height = 36, spp = 4, integrator = "ao" }
-  time = "off"
-`;
+const SUITE = readFileSync(new URL('../farm/still-life.toml', import.meta.url), 'utf8');
 
 // What nobody has: a job that demands it waits.
 export const ELSEWHERE = { device: 'gpu', adapter: 'of another world' };
+
+// Where nothing listens: the discard port of this machine.
+export const NOBODY = 'http://127.0.0.1:9/hooks/farm';
 
 // Stores the suite; its id.
 export async function addSuite(service) {
@@ -50,18 +38,20 @@ export async function populate(service) {
   const suite = await addSuite(service);
   const accepted = await service.check(suite, 'base', { demo });
   await service.post(`/v1/farm/runs/${accepted}/approve`, { who: 'Ada', why: 'first pictures' });
+  const webhook = (await service.post('/v1/farm/webhooks', { url: NOBODY, secret: '0123456789abcdef' })).id;
   const changed = await service.check(suite, 'no bounces', { demo }, { max_bounces: 0 });
 
   const run = { suite, label: 'nightly', scenes: { demo } };
   await service.post('/v1/farm/schedules', { name: 'nightly', cron: '30 2 * * 1-5', run });
+  await service.post('/v1/farm/schedules', { name: 'weekly', cron: '0 6 * * 1', run, paused: true });
   jobs.waiting = await service.submit(scene, ELSEWHERE);
   jobs.cancelled = await service.submit(scene, ELSEWHERE);
   await service.post(`/v1/jobs/${jobs.cancelled}/cancel`, {});
-  return { scene, mesh: done.metrics.cache[0].mesh, jobs, runs: { accepted, changed } };
+  return { scene, mesh: done.metrics.cache[0].mesh, jobs, runs: { accepted, changed }, webhook };
 }
 
 // Every page there is, as name and address.
-export function pagesOf({ scene, mesh, jobs, runs }) {
+export function pagesOf({ scene, mesh, jobs, runs, webhook }) {
   return {
     overview: '/',
     jobs: '/jobs',
@@ -84,6 +74,8 @@ export function pagesOf({ scene, mesh, jobs, runs }) {
     'farm-history': '/farm/history?suite=still%20life&case=path',
     'farm-decisions': '/farm/decisions',
     'farm-schedules': '/farm/schedules',
+    'farm-webhooks': '/farm/webhooks',
+    'farm-webhook': `/farm/webhooks/${webhook}`,
     queue: '/queue',
     benchmarks: '/benchmarks',
     'benchmarks-by': '/benchmarks?by=structure',

@@ -1,22 +1,46 @@
 //! What a job will take, told before it runs.
 
 use lightshaft_api::settings::{Acceleration, OnOverBudget};
-use lightshaft_engine::accel::StructureParams;
 use lightshaft_engine::accel::line_space::NodeSpaceParams;
+use lightshaft_engine::accel::{CellShaftParams, NTreeParams, StructureParams};
 
-use crate::executor::MIN_LINE_SPACE_PRIMITIVES;
+use crate::executor::{DEFAULT_CELL_DEPTH, MIN_LINE_SPACE_PRIMITIVES};
 use crate::settings::{LineSpaces, Structures, Wanted};
 
 /// Bytes that the Line Spaces of a job take at most, over unique meshes of so many primitives each and `instanced`
-/// primitives over all instances. 0 without Line Spaces; `None` where only building tells, which is so of N-trees.
+/// primitives over all instances; of N-trees roughly, since only building tells which nodes there are. 0 without Line Spaces;
+/// `None` of structures that have none.
 pub fn line_space_bytes(acceleration: &Acceleration, meshes: &[u64], instanced: u64) -> Option<u64> {
     let wanted = Wanted::of(acceleration);
     let Some(line_spaces) = wanted.line_spaces else { return Some(0) };
     match wanted.structures {
         Structures::PerMesh(_) => Some(of_all(&line_spaces, meshes)),
-        Structures::Flat(structure) => {
-            matches!(structure, StructureParams::Bvh(_)).then(|| of_all(&line_spaces, &[instanced]))
+        Structures::Flat(StructureParams::Bvh(_)) => Some(of_all(&line_spaces, &[instanced])),
+        Structures::Flat(StructureParams::NTree(tree)) => Some(of_cells(&line_spaces, &tree, instanced)),
+        Structures::Flat(StructureParams::Grid(_) | StructureParams::Octree(_)) => None,
+    }
+}
+
+/// Those of the nodes of an N-tree. A level has at most so many nodes as the one above has cells, and hardly more than there
+/// are primitives: each is divided for holding several.
+fn of_cells(wanted: &LineSpaces, tree: &NTreeParams, primitives: u64) -> u64 {
+    let nodes = |level: u32| u64::from(tree.n).saturating_pow(3 * level).min(primitives);
+    let deepest = tree.depth.saturating_sub(1);
+    let needed = match &wanted.rules {
+        None => {
+            let levels = wanted.depth.unwrap_or(DEFAULT_CELL_DEPTH).min(deepest);
+            let params = CellShaftParams { levels, patches: wanted.n };
+            (1..=levels).map(|level| nodes(level).saturating_mul(params.bytes_of_node(level, tree.n))).sum()
         }
+        Some(_) if deepest == 0 => 0,
+        Some(_) => {
+            let params = wanted.of_cells(tree.depth);
+            nodes(params.level.min(deepest)).saturating_mul(params.each.bytes_at_most())
+        }
+    };
+    match wanted.on_over_budget {
+        OnOverBudget::Refuse => needed,
+        OnOverBudget::Shrink | OnOverBudget::Skip => needed.min(wanted.budget_of_flat()),
     }
 }
 
@@ -62,7 +86,28 @@ mod tests {
         assert_eq!(bytes(json!({})), Some(0));
         assert_eq!(bytes(json!({ "line_space": { "payload": "binary" } })), Some(2 * of_mesh));
         assert_eq!(bytes(json!({ "structure": "bvh", "line_space": { "payload": "binary" } })), Some(of_mesh));
-        assert_eq!(bytes(json!({ "structure": "ntree", "line_space": { "payload": "binary" } })), None);
+    }
+
+    #[test]
+    fn nodes_of_an_n_tree_are_counted_by_its_cells_and_by_primitives() {
+        let tree = |line_space: serde_json::Value, more: serde_json::Value| {
+            let mut acceleration = json!({ "structure": "ntree", "line_space": line_space });
+            acceleration.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+            bytes(acceleration).unwrap()
+        };
+        let binary = |depth: u32| json!({ "payload": "binary", "depth": depth });
+        // 6^3 nodes below the root, whose patches are two of six cells wide: 15 * 3^4 bits in words, and where they are.
+        let one_level = 216 * (4 + 4 * (15 * 3_u64.pow(4)).div_ceil(32));
+        assert_eq!(tree(json!({ "payload": "binary" }), json!({})), one_level);
+        // Below that as many as there are primitives, and 15 * 2^4 bits.
+        let two_levels = one_level + 6_u64.pow(6).min(50_000) * (4 + 4 * (15 * 2_u64.pow(4)).div_ceil(32));
+        assert_eq!(tree(binary(2), json!({})), two_levels);
+        assert_eq!(tree(binary(2), json!({ "depth": 2 })), one_level, "a tree of two levels");
+        assert_eq!(tree(binary(2), json!({ "depth": 1 })), 0, "the root has none");
+        let small = json!({ "payload": "binary", "depth": 2, "on_over_budget": "shrink", "mesh_budget_bytes": 5000 });
+        assert_eq!(tree(small, json!({})), 5000);
+        let candidates = tree(json!({ "payload": "candidate" }), json!({ "policy": "representative" }));
+        assert!(candidates > one_level, "{candidates}");
     }
 
     #[test]

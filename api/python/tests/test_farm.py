@@ -134,7 +134,10 @@ def test_schedules_are_added_and_deleted(client: Client, suite: Suite, scene: Sc
     schedule = client.add_schedule(f"nightly {flavour}", "30 2 * * 1-5", suite, "nightly", scenes={"box": scene})
     assert (schedule.next_at is not None, schedule.run.suite) == (True, suite.id)
     assert schedule in client.schedules()
-    client.delete_schedule(schedule.id)
+    paused = client.change_schedule(schedule, paused=True)
+    assert (paused.paused, paused.next_at) == (True, None)
+    assert client.change_schedule(schedule.id, paused=False) == schedule
+    client.delete_schedule(schedule)
     assert schedule not in client.schedules()
 
 
@@ -151,6 +154,10 @@ def test_webhooks_are_told_of_what_they_asked_for(client: Client, suite: Suite, 
     assert isinstance(delivery.message.data, dict)
     assert delivery.message.data["id"] == run.id
     assert client.webhook(webhook.id).waiting == 1
+    again = client.resend_delivery(webhook.id, delivery.id)
+    assert (again.id, again.state, again.message) == (delivery.id, "waiting", delivery.message)
+    with pytest.raises(NotFoundError):
+        client.resend_delivery(webhook.id, "no-such-message")
     client.delete_webhook(webhook.id)
     with pytest.raises(NotFoundError):
         client.deliveries(webhook.id)

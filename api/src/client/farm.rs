@@ -7,8 +7,8 @@ use reqwest::header::CONTENT_TYPE;
 use super::{Client, Result, segment};
 use crate::farm::{
     Baseline, BaselineReset, Calibration, Decision, DecisionKind, DecisionNote, Decisions, History, NewCalibration,
-    NewRun, NewSchedule, NewSuite, NewWebhook, Run, RunKind, RunState, RunSummary, Schedule, Suite, SuiteSummary,
-    Webhook, WebhookDelivery,
+    NewRun, NewSchedule, NewSuite, NewWebhook, Run, RunKind, RunState, RunSummary, Schedule, SchedulePatch, Suite,
+    SuiteSummary, Webhook, WebhookDelivery,
 };
 use crate::page::Page;
 
@@ -186,6 +186,11 @@ impl Client {
         self.get_json("v1/farm/schedules", &()).await
     }
 
+    /// Pauses a schedule, or resumes it from now on.
+    pub async fn change_schedule(&self, id: &str, patch: &SchedulePatch) -> Result<Schedule> {
+        self.send_json(self.request(Method::PATCH, &format!("v1/farm/schedules/{}", segment(id))).json(patch)).await
+    }
+
     pub async fn delete_schedule(&self, id: &str) -> Result<()> {
         let path = format!("v1/farm/schedules/{}", segment(id));
         self.send(self.request(Method::DELETE, &path)).await.map(|_| ())
@@ -207,6 +212,12 @@ impl Client {
 
     pub async fn delete_webhook(&self, id: &str) -> Result<()> {
         self.send(self.request(Method::DELETE, &webhook_path(id))).await.map(|_| ())
+    }
+
+    /// Sends a message again, now; whatever became of it.
+    pub async fn resend_delivery(&self, webhook: &str, delivery: &str) -> Result<WebhookDelivery> {
+        let path = format!("{}/deliveries/{}/resend", webhook_path(webhook), segment(delivery));
+        self.post_json(&path, &()).await
     }
 
     /// A webhook's messages with the attempts to deliver them, newest first.

@@ -21,12 +21,12 @@ pub use baseline::{
     HistoryPoint,
 };
 pub use calibration::{Calibration, CalibrationCase, NewCalibration};
-pub use image::{ImageFigures, ImageResult, ImageVerdict, PictureSource, ZTestFigures};
+pub use image::{ImageFigures, ImageResult, ImageVerdict, PictureSource, ZTestBlocks, ZTestFigures};
 pub use run::{
     CaseState, FarmJob, FarmJobPhase, NewRun, Run, RunCase, RunCounts, RunKind, RunState, RunSummary, SettingsPatch,
     check_labels,
 };
-pub use schedule::{NewSchedule, Schedule};
+pub use schedule::{NewSchedule, Schedule, SchedulePatch};
 pub use suite::{CaseDefaults, NewSuite, SceneSource, Suite, SuiteCase, SuiteSummary, SuiteTestCase};
 pub use text::{check_name, check_text};
 pub use time::{Confirmation, ConfirmationState, Spread, TimeRatio, TimeResult, TimeVerdict};

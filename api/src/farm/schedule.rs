@@ -27,6 +27,17 @@ pub struct NewSchedule {
     pub cron: String,
     /// What begins then. The time is added to its label: `nightly 2026-11-23T02:30Z`.
     pub run: NewRun,
+    /// Whether it begins nothing until it is resumed.
+    #[serde(default)]
+    pub paused: bool,
+}
+
+/// Body of `PATCH /v1/farm/schedules/{id}`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SchedulePatch {
+    /// True pauses it. False resumes it from now on: times that passed while it was paused are skipped.
+    pub paused: bool,
 }
 
 impl NewSchedule {
@@ -47,7 +58,9 @@ pub struct Schedule {
     pub name: String,
     pub cron: String,
     pub run: NewRun,
-    /// Null when the pattern has no next time.
+    /// Whether it begins nothing until it is resumed.
+    pub paused: bool,
+    /// Null while it is paused, and when the pattern has no next time.
     pub next_at: Option<Timestamp>,
     /// When it was last due. Times that passed while the service was down count once.
     pub begun_at: Option<Timestamp>,

@@ -15,6 +15,7 @@
 //! | `/farm`, `/farm/runs/{id}` | the regression farm: runs; the cases of one with their verdicts |
 //! | `/farm/history`, `/farm/decisions` | a case over its labels; who decided what |
 //! | `/farm/schedules` | runs that begin by the clock |
+//! | `/farm/webhooks`, `/farm/webhooks/{id}` | who is told of verdicts; what became of each message |
 //! | `/benchmarks` | what benchmarks found, by scene, device and parameter |
 //! | `/scenes`, `/scenes/{id}` | cards and upload; one scene |
 //! | `/workers` | devices, work in progress, caches |
@@ -66,6 +67,8 @@ pub fn router(api: Router) -> Router {
         .route("/farm/history", get(farm::history::show))
         .route("/farm/decisions", get(farm::decisions::list))
         .route("/farm/schedules", get(farm::schedules::show))
+        .route("/farm/webhooks", get(farm::webhooks::list))
+        .route("/farm/webhooks/{id}", get(farm::webhooks::show))
         .route("/scenes", get(scenes::list))
         .route("/scenes/{id}", get(scenes::show))
         .route("/workers", get(workers::list))

@@ -57,6 +57,7 @@ fn pages() -> Vec<String> {
     pages.extend(
         ["/queue", "/meshes", "/farm/schedules", "/benchmarks", "/benchmarks?by=line_space.n"].map(str::to_owned),
     );
+    pages.extend(["/farm/webhooks", "/farm/webhooks/w1"].map(str::to_owned));
     pages.extend(
         ["/compare", "/compare?p=j-succeeded", "/compare?p=j-succeeded&p=j-succeeded/image.png"].map(str::to_owned),
     );
@@ -79,7 +80,7 @@ async fn every_page_is_html_under_the_content_security_policy() {
 #[tokio::test]
 async fn every_page_works_on_an_empty_service() {
     let pages = ["/", "/jobs", "/jobs/new", "/queue", "/scenes", "/meshes", "/workers", "/compare", "/benchmarks"];
-    for path in pages.into_iter().chain(["/farm", "/farm/decisions", "/farm/schedules"]) {
+    for path in pages.into_iter().chain(["/farm", "/farm/decisions", "/farm/schedules", "/farm/webhooks"]) {
         let answer = get_from(false, path, &[]).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.body);
     }
@@ -242,6 +243,9 @@ async fn benchmarks_stand_together_in_the_order_of_a_parameter() {
         "data-export=\"csv\"",
         "Speed against error",
         "on the Pareto front",
+        "paper: ratio",
+        "95 % interval 1.40 to 1.60; the paper: 2.39",
+        "class=\"paper\"",
     ] {
         assert!(body.contains(part), "no {part}");
     }
@@ -250,6 +254,22 @@ async fn benchmarks_stand_together_in_the_order_of_a_parameter() {
     assert!(
         schedule.contains("name=\"run/scenes/box &#60;b&#62;\"") && schedule.contains("The scene &#60;i&#62;is gone")
     );
+}
+
+#[tokio::test]
+async fn a_webhook_shows_what_became_of_its_messages_and_offers_to_send_them_again() {
+    let body = get("/farm/webhooks/w1").await.body;
+    for part in [
+        "It answered &#60;i&#62;500",
+        "generated: cornell &#60;b&#62; at 1db641f",
+        "data-action=\"/v1/farm/webhooks/w1/deliveries/de1/resend\"",
+        "&#34;type&#34;: &#34;case.changed&#34;",
+        "/farm/webhooks/w1?cursor=next%2F1",
+    ] {
+        assert!(body.contains(part), "no {part}");
+    }
+    let list = get("/farm/webhooks").await.body;
+    assert!(list.contains("href=\"/farm/webhooks/w1\"") && list.contains("value=\"case.slower\""));
 }
 
 #[tokio::test]

@@ -230,6 +230,8 @@ pub trait ScheduleStore {
     async fn schedules(&self, due_at: Option<Millis>) -> Result<Vec<Schedule>>;
     /// False for an unknown one.
     async fn delete_schedule(&self, id: &str) -> Result<bool>;
+    /// Pauses a schedule, whose next time is then none, or resumes it; false for an unknown one.
+    async fn change_schedule(&self, id: &str, paused: bool, next_at: Option<Millis>) -> Result<bool>;
     /// Moves a due schedule to its next time; false when another has done so, or it is gone.
     async fn take_schedule(&self, due: &Schedule, next_at: Option<Millis>, now: Millis) -> Result<bool>;
     /// The id of the run that it began, or why it could not.
@@ -270,6 +272,10 @@ pub trait WebhookStore {
     async fn note_attempt(&self, due: &DueDelivery, attempt: &DeliveryAttempt, after: AfterAttempt) -> Result<()>;
     /// Newest first.
     async fn deliveries(&self, webhook: &str, page: &PageRequest) -> Result<Vec<WebhookDelivery>>;
+    /// `None` of a message that is unknown, or another webhook's.
+    async fn delivery(&self, webhook: &str, id: &str) -> Result<Option<WebhookDelivery>>;
+    /// Has a message sent now, whatever became of it; false for an unknown one.
+    async fn resend(&self, webhook: &str, delivery: &str, now: Millis) -> Result<bool>;
     /// Forgets messages of before a time that wait no longer, at most a batch; returns how many.
     async fn forget_deliveries(&self, before: Millis) -> Result<u64>;
 }

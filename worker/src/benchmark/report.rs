@@ -10,7 +10,8 @@ pub const RESULTS_CSV: &str = "results.csv";
 pub const RESULTS_MARKDOWN: &str = "results.md";
 
 /// A figure that is not there.
-const NONE: &str = "–";
+/// What stands for a figure that there is not.
+pub const NONE: &str = "–";
 
 /// The results in all forms.
 pub(super) fn artifacts(results: &BenchmarkResults) -> Result<Vec<Artifact>, TaskError> {

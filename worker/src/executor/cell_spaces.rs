@@ -14,7 +14,7 @@ use crate::settings::LineSpaces;
 
 /// Levels of nodes below the root that rays can pass by, when the job does not say: they are few enough to stay in the CPU's cache,
 /// where those of all levels cost more than they spare.
-const DEFAULT_DEPTH: u32 = 1;
+pub(crate) const DEFAULT_CELL_DEPTH: u32 = 1;
 
 /// The scene, whose structure is a tree of cells over `flat`, with the Line Spaces that are wanted.
 ///
@@ -44,7 +44,7 @@ fn passing_by(
     warn: &mut dyn FnMut(String),
 ) -> Result<SceneAccel, TaskError> {
     let budget_bytes = wanted.budget_of_flat();
-    let asked = wanted.depth.unwrap_or(DEFAULT_DEPTH).min(tree.levels().saturating_sub(1));
+    let asked = wanted.depth.unwrap_or(DEFAULT_CELL_DEPTH).min(tree.levels().saturating_sub(1));
     let params = |levels| CellShaftParams { levels, patches: wanted.n };
     let of_levels = |levels| CellShafts::bytes_at_most(tree, &params(levels));
     let levels = match wanted.on_over_budget {

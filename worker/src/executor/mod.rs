@@ -31,6 +31,7 @@ use lightshaft_engine::scene::{ImportError, ImportErrorKind, Limits, Source};
 
 use crate::cache::{StructureCache, StructureStore};
 
+pub(crate) use cell_spaces::DEFAULT_CELL_DEPTH;
 pub(crate) use devices::Choice;
 pub use devices::Devices;
 pub(crate) use line_spaces::MIN_PRIMITIVES as MIN_LINE_SPACE_PRIMITIVES;

@@ -597,8 +597,7 @@ class Estimate:
 
     #: All of these that are known.
     bytes: int
-    #: Line Spaces at most; 0 without, and null where only building them tells (of an N-tree, and of kinds that do not
-    #: render).
+    #: Line Spaces at most, of an N-tree roughly; 0 without, and null of kinds that neither render nor build.
     line_space_bytes: int | None = None
     #: What `render_s` rests on.
     measured: MeasuredJobs | None = None
@@ -1180,8 +1179,10 @@ class Schedule:
     #: Id of the last run that it began; the run may have been deleted since.
     last_run: str | None = None
     name: str
-    #: Null when the pattern has no next time.
+    #: Null while it is paused, and when the pattern has no next time.
     next_at: datetime | None = None
+    #: Whether it begins nothing until it is resumed.
+    paused: bool
     run: NewRun
 
 
@@ -1416,20 +1417,38 @@ class WorkerCounts:
 
 @dataclass(frozen=True, kw_only=True)
 class ZTest:
-    """The per-pixel test of the mean of a run's repetitions against the mean and variance of the baseline's."""
+    """The per-pixel test of the mean of a run's repetitions against that of the baseline's, by how far repetitions
+    scatter; of blocks of 2, 4, 8 and so on pixels on a side too, where what is faint and wide shows. Takes at
+    least 4 repetitions; 6 or more tell small changes.
+    """
 
-    #: Share of the pixels that may fail nevertheless, 0 to 0.1: the test supposes a normal distribution, and fireflies
-    #: have none.
+    #: Share of the single pixels that may fail nevertheless, 0 to 0.1. No block may: what changes a region changes
+    #: blocks.
     max_failing: float
-    #: The chance that an unchanged picture fails at a pixel, over all pixels together (corrected after Sidak); 1e-6 to
-    #: 0.5.
+    #: The chance that an unchanged picture fails anywhere, over all pixels and blocks together (corrected after
+    #: Sidak); 1e-6 to 0.5.
     significance: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class ZTestFigures:
-    """A per-pixel Z-test with Sidak's correction."""
+class ZTestBlocks:
+    """The test of the means of all blocks of one size."""
 
+    blocks: int
+    critical_z: float
+    failing: int
+    max_z: float
+    #: Pixels on a side of a block.
+    side: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZTestFigures:
+    """A per-pixel Z-test with Sidak's correction, on every level of an image pyramid."""
+
+    #: Blocks of 2, 4, 8 and so on pixels on a side, up to one that is the whole picture. Empty of runs of older
+    #: versions.
+    blocks: list[ZTestBlocks]
     #: A statistic beyond this fails.
     critical_z: float
     #: Pixels that fail.
@@ -1448,7 +1467,7 @@ class Compared(CompareReport):
     #: Address of the absolute difference as a picture.
     difference: str
     #: Address of the FLIP error (HDR-FLIP where that was wanted) of every pixel as a picture (magma: 0 is black, 1
-    #: pale yellow).
+    #: pale yellow) with a scale bar to the right; `&scale=false` leaves that out.
     heat_map: str
     #: Address of the page that shows both.
     page: str

@@ -7,7 +7,7 @@ use croner::Cron;
 use croner::parser::{CronParser, Seconds, Year};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use lightshaft_api::farm::{NewRun, NewSchedule, Schedule};
+use lightshaft_api::farm::{NewRun, NewSchedule, Schedule, SchedulePatch};
 use lightshaft_api::problem::FieldError;
 use uuid::Uuid;
 
@@ -49,7 +49,8 @@ impl App {
             name: new.name.clone(),
             cron: new.cron.clone(),
             run: new.run.clone(),
-            next_at,
+            paused: new.paused,
+            next_at: next_at.filter(|_| !new.paused),
             begun_at: None,
             last_run: None,
             error: None,
@@ -67,6 +68,31 @@ impl App {
 
     pub async fn schedules(&self) -> ApiResult<Vec<Schedule>> {
         Ok(self.store.schedules(None).await?)
+    }
+
+    /// Pauses a schedule, or resumes it from now on. What is so already stays as it is, its next time too.
+    pub async fn change_schedule(&self, id: &str, patch: &SchedulePatch) -> ApiResult<Schedule> {
+        let known = self.schedule(id).await?;
+        if known.paused == patch.paused {
+            return Ok(known);
+        }
+        let next = if patch.paused { None } else { self.next_time(&known.cron)? };
+        if !self.store.change_schedule(id, patch.paused, next.map(Timestamp::as_millisecond)).await? {
+            return Err(ApiError::not_found("schedule", id));
+        }
+        tracing::info!(schedule.id = %id, paused = patch.paused, "schedule changed");
+        self.schedule(id).await
+    }
+
+    async fn schedule(&self, id: &str) -> ApiResult<Schedule> {
+        let all = self.store.schedules(None).await?;
+        all.into_iter().find(|schedule| schedule.id == id).ok_or_else(|| ApiError::not_found("schedule", id))
+    }
+
+    /// The first time from now on of a pattern that is known to be one.
+    fn next_time(&self, cron: &str) -> ApiResult<Option<Timestamp>> {
+        let pattern = read_pattern(cron).map_err(|error| ApiError::internal(error.detail))?;
+        Ok(next_after(&pattern, self.timestamp()?))
     }
 
     pub async fn delete_schedule(&self, id: &str) -> ApiResult<()> {

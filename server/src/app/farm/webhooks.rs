@@ -75,6 +75,16 @@ impl App {
         Ok(self.store.deliveries(webhook, page).await?)
     }
 
+    /// Has a message sent now, whatever became of it.
+    pub async fn resend_delivery(&self, webhook: &str, delivery: &str) -> ApiResult<WebhookDelivery> {
+        let unknown = || ApiError::not_found("delivery", delivery);
+        if !self.store.resend(webhook, delivery, self.now()).await? {
+            return Err(unknown());
+        }
+        tracing::info!(webhook.id = %webhook, delivery.id = %delivery, "a message is to be sent again");
+        self.store.delivery(webhook, delivery).await?.ok_or_else(unknown)
+    }
+
     /// Sends messages that are due, at most a batch; returns how many were taken.
     pub async fn deliver_messages(&self) -> ApiResult<usize> {
         let due = self.store.due_deliveries(self.now(), BATCH).await?;

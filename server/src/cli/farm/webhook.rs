@@ -16,6 +16,13 @@ pub(crate) enum Command {
         /// Its id.
         id: String,
     },
+    /// Send a message again, now; whatever became of it.
+    Resend {
+        /// Id of the webhook.
+        id: String,
+        /// Id of the message, as `deliveries` lists it.
+        delivery: String,
+    },
     /// List a webhook's messages with the attempts to deliver them, newest first.
     Deliveries {
         /// Its id.
@@ -55,6 +62,10 @@ pub(super) async fn run(command: &Command, client: &Client, global: &Global) -> 
             if global.json { output::print_json(&webhooks) } else { print(&webhooks) }
         }
         Command::Delete { id } => Ok(client.delete_webhook(id).await?),
+        Command::Resend { id, delivery } => {
+            let delivery = client.resend_delivery(id, delivery).await?;
+            if global.json { output::print_json(&delivery) } else { print_deliveries(&[delivery]) }
+        }
         Command::Deliveries { id } => {
             let deliveries = client.deliveries(id, None).await?.items;
             if global.json { output::print_json(&deliveries) } else { print_deliveries(&deliveries) }

@@ -73,7 +73,8 @@ function bodyOf(form) {
   if ('json' in form.dataset) {
     const lists = (form.dataset.lists ?? '').split(' ').filter(Boolean);
     const data = new FormData(form);
-    const texts = [...data].filter(([name]) => !lists.includes(name));
+    const isSaid = ([name, value]) => !lists.includes(name) && (value !== '' || !('withoutEmpty' in form.dataset));
+    const texts = [...data].filter(isSaid);
     return JSON.stringify({ ...nested(texts), ...Object.fromEntries(lists.map((name) => [name, data.getAll(name)])) });
   }
   const numbers = [...form.querySelectorAll('input[type=number]')].map((input) => [input.name, input.valueAsNumber]);

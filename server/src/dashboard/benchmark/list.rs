@@ -26,8 +26,27 @@ use crate::dashboard::page::{Page, PageError};
 
 /// Benchmarks of a page of the list, whose results are read.
 const PAGE: u32 = 20;
-/// What a table shows of each configuration.
-const COLUMNS: [Column; 7] = [
+/// What a table shows of each configuration; what the paper found where any of them is in a paper.
+const COLUMNS: [Column; 16] = [
+    Column::MraysPerS,
+    Column::PaperMraysPerS,
+    Column::PaperFps,
+    Column::Ratio,
+    Column::PaperRatio,
+    Column::InitS,
+    Column::PaperInitS,
+    Column::StructureMb,
+    Column::PaperSizeMb,
+    Column::PaperNodes,
+    Column::LineSpaceMb,
+    Column::PaperLineSpaceMb,
+    Column::PaperLineSpaces,
+    Column::Rmse,
+    Column::PaperRmse,
+    Column::Flip,
+];
+/// Those that are there even when nothing stands in them.
+const OWN_COLUMNS: [Column; 7] = [
     Column::MraysPerS,
     Column::Ratio,
     Column::InitS,
@@ -70,8 +89,9 @@ struct Measured {
 struct Group {
     title: String,
     note: String,
+    headings: Vec<&'static str>,
     lines: Vec<Line>,
-    bars: Option<Bars>,
+    bars: Vec<Bars>,
     charts: Vec<Scatter>,
 }
 
@@ -90,7 +110,6 @@ struct BenchmarksPage {
     here: &'static str,
     jobs: Vec<JobRow>,
     groups: Vec<Group>,
-    headings: [&'static str; COLUMNS.len()],
     scenes: BTreeSet<String>,
     devices: BTreeSet<String>,
     parameters: BTreeSet<String>,
@@ -115,7 +134,6 @@ pub(in crate::dashboard) async fn show(api: Api, Query(filter): Query<Filter>) -
         devices: measured.iter().map(|m| m.results.device.clone()).collect(),
         parameters: parameters(scenes.flat_map(|scene| &scene.comparisons).flat_map(|comparison| &comparison.rows)),
         groups: groups(&measured, &filter),
-        headings: COLUMNS.map(report::heading),
         first: (!filter.cursor.is_empty()).then(|| filter.url("")),
         next: jobs.next_cursor.map(|cursor| filter.url(&cursor)),
         jobs: jobs.items.into_iter().map(|job| JobRow { job }).collect(),
@@ -150,7 +168,7 @@ fn line(job: &str, at: Timestamp, row: &Row, by: &str) -> Line {
     let value = leaves(&row.acceleration).remove(by).unwrap_or_default();
     Line {
         job: job.to_owned(),
-        cells: COLUMNS.iter().map(|&column| report::cell(column, row)).collect(),
+        cells: Vec::new(),
         // One name is measured by many benchmarks.
         row: Row { configuration: format!("{}, {}", row.configuration, at.strftime("%m-%d %H:%M")), ..row.clone() },
         value,
@@ -164,8 +182,18 @@ fn group(title: String, note: String, mut lines: Vec<Line>, by: &str) -> Group {
             line.row.configuration = format!("{} = {}: {}", by, line.value, line.row.configuration);
         }
     }
+    let columns: Vec<Column> = COLUMNS
+        .into_iter()
+        .filter(|column| {
+            OWN_COLUMNS.contains(column) || lines.iter().any(|line| report::cell(*column, &line.row) != report::NONE)
+        })
+        .collect();
+    for line in &mut lines {
+        line.cells = columns.iter().map(|&column| report::cell(column, &line.row)).collect();
+    }
     let rows: Vec<Row> = lines.iter().map(|line| line.row.clone()).collect();
-    Group { title, note, bars: Bars::of(&rows), charts: scatter::charts(&rows), lines }
+    let headings = columns.into_iter().map(report::heading).collect();
+    Group { title, note, headings, bars: Bars::all(&rows), charts: scatter::charts(&rows), lines }
 }
 
 /// Numbers by size, others by name; what has no value comes last.
@@ -205,6 +233,7 @@ fn leaves(value: &Value) -> BTreeMap<String, String> {
 
 #[cfg(test)]
 mod tests {
+    use lightshaft_api::benchmark::PaperFigures;
     use serde_json::json;
 
     use super::super::tests::{results, row};
@@ -212,6 +241,20 @@ mod tests {
 
     fn with(name: &str, speed: f64, acceleration: Value) -> Row {
         Row { acceleration, ..row(name, Some(speed)) }
+    }
+
+    #[test]
+    fn the_papers_figures_stand_beside_ours_where_there_are_any() {
+        let paper = PaperFigures { ratio: Some(2.39), nodes: Some(1234.0), ..PaperFigures::default() };
+        let ls = Row { paper: Some(paper), ..with("LS", 3.0, json!({})) };
+        let found = groups(&[measured("j1", vec![with("base", 1.0, json!({})), ls])], &Filter::default());
+        let group = &found[0];
+        let place = |name: &str| group.headings.iter().position(|heading| *heading == name).unwrap();
+        assert_eq!(place("paper: ratio"), place("ratio [95 %]") + 1, "{:?}", group.headings);
+        assert_eq!(group.lines[1].cells[place("paper: ratio")], "2.39");
+        assert_eq!(group.lines[1].cells[place("paper: nodes")], "1234");
+        assert_eq!(group.lines[0].cells.len(), group.headings.len());
+        assert!(!group.headings.contains(&"paper: RMSE"), "nobody has one");
     }
 
     fn measured(job: &str, rows: Vec<Row>) -> Measured {
@@ -230,7 +273,8 @@ mod tests {
         assert_eq!(found.len(), 1, "the same scene, effect and device");
         let order: Vec<(&str, &str)> = found[0].lines.iter().map(|l| (l.value.as_str(), l.job.as_str())).collect();
         assert_eq!(order, [("5", "j2"), ("10", "j1"), ("", "j1")], "by size, and what lacks it last");
-        assert_eq!(found[0].bars.as_ref().map(|bars| bars.bars.len()), Some(3));
+        assert_eq!(found[0].bars[0].bars.len(), 3);
+        assert!(found[0].headings.iter().all(|heading| !heading.contains("paper")), "{:?}", found[0].headings);
         let rows = all.iter().flat_map(|m| &m.results.scenes[0].comparisons[0].rows);
         assert_eq!(parameters(rows).into_iter().collect::<Vec<_>>(), ["line_space.n"], "what differs");
         let elsewhere = Filter { device: "another".to_owned(), ..Filter::default() };

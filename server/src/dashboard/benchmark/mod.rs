@@ -25,7 +25,7 @@ pub(super) struct Found {
 
 pub(super) struct Compared {
     pub(super) table: Table,
-    pub(super) bars: Option<Bars>,
+    pub(super) bars: Vec<Bars>,
     pub(super) charts: Vec<Scatter>,
     pub(super) pictures: Vec<Pair>,
 }
@@ -51,7 +51,7 @@ impl Found {
         let comparisons = results.scenes.iter().flat_map(|scene| &scene.comparisons);
         let compared = report::tables(&results).into_iter().zip(comparisons).map(|(table, comparison)| Compared {
             table,
-            bars: Bars::of(&comparison.rows),
+            bars: Bars::all(&comparison.rows),
             charts: scatter::charts(&comparison.rows),
             pictures: comparison.rows.iter().filter_map(|row| pair(row, &job.artifacts)).collect(),
         });

@@ -5,6 +5,7 @@ pub(super) mod decisions;
 pub(super) mod history;
 pub(super) mod run;
 pub(super) mod schedules;
+pub(super) mod webhooks;
 
 use askama::Template;
 use axum::extract::Query;

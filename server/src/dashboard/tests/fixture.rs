@@ -161,11 +161,12 @@ pub(crate) fn queue(is_busy: bool) -> Queue {
 fn benchmark_results() -> Value {
     let row = |name: &str, n: u32, speed: f64| {
         json!({ "configuration": name, "acceleration": { "structure": "two_level", "line_space": { "n": n } },
-            "unavailable": null, "paper": null, "warnings": [],
+            "unavailable": null, "paper": { "ratio": 2.39 }, "warnings": [],
             "built": { "init_s": 0.5, "structure_bytes": 9_000_000, "structure_nodes": 17, "line_space_bytes": 1_000_000 * n,
                 "line_spaces": 3, "cache": [] },
             "timed": { "mrays_per_s": { "lower": 0.9 * speed, "median": speed, "upper": 1.1 * speed },
-                "frames_per_s": { "lower": 1.0, "median": 1.0, "upper": 1.0 }, "ratio": null,
+                "frames_per_s": { "lower": 1.0, "median": 1.0, "upper": 1.0 },
+                "ratio": { "value": 1.5, "low": 1.4, "high": 1.6 },
                 "rays": { "primary": 1, "shadow": 0, "ao": 0, "indirect": 0 }, "samples": [],
                 "per_ray": { "box_tests": 1.0, "triangle_tests": 1.0, "look_ups": 0.0, "empty": 0.0, "opaque": 0.0,
                     "mixed": 0.0, "starts_inside": 0.0, "approximated": 0.0 } },
@@ -181,9 +182,22 @@ fn benchmark_results() -> Value {
 }
 
 fn schedule() -> Value {
-    json!({ "id": "sc1", "name": "nightly <b>", "cron": "30 2 * * 1-5", "next_at": "2126-11-22T02:30:00Z",
+    json!({ "id": "sc1", "name": "nightly <b>", "cron": "30 2 * * 1-5", "paused": false, "next_at": "2126-11-22T02:30:00Z",
         "run": { "suite": "su1", "label": "nightly & more" }, "begun_at": null, "last_run": null,
         "error": "the scene <i>is gone</i>", "created_at": "2026-11-22T10:00:00Z" })
+}
+
+fn webhook() -> Value {
+    json!({ "id": "w1", "url": "https://chat.example/<b>", "events": ["run.finished"], "suite": "generated & more",
+        "created_at": "2026-11-22T10:00:00Z", "waiting": 1, "delivered_at": null, "error": "it answered <i>500</i>" })
+}
+
+fn delivery() -> Value {
+    let data = json!({ "run": "r1", "suite": "generated", "case": "cornell <b>", "label": "1db641f", "baseline": "main",
+        "device_class": "cpu", "image_verdict": "changed", "time_verdict": null, "reason": "pixels <i>differ</i>" });
+    json!({ "id": "de1", "state": "waiting", "next_at": "2126-11-22T02:30:00Z",
+        "message": { "type": "case.changed", "timestamp": "2026-11-22T10:00:00Z", "data": data },
+        "attempts": [{ "at": "2026-11-22T10:00:00Z", "seconds": 0.5, "status": 500, "error": "it answered <i>500</i>" }] })
 }
 
 fn farm_artifact(name: &str) -> Value {
@@ -270,7 +284,7 @@ pub(crate) fn status(scenes: u64) -> Status {
 struct Document;
 
 use lightshaft_api::event::Event;
-use lightshaft_api::farm::{Decision, History, Run, Schedule, SuiteSummary};
+use lightshaft_api::farm::{Decision, History, Run, Schedule, SuiteSummary, Webhook, WebhookDelivery};
 use lightshaft_api::problem::Problem;
 
 fn document() -> Value {
@@ -374,6 +388,23 @@ pub(crate) fn api(scenes: bool) -> Router {
                 let schedules: Vec<Schedule> = if scenes { vec![typed(schedule())] } else { vec![] };
                 page(schedules, None)
             }),
+        )
+        .route(
+            "/v1/farm/webhooks",
+            get(move || async move {
+                let webhooks: Vec<Webhook> = if scenes { vec![typed(webhook())] } else { vec![] };
+                page(webhooks, None)
+            }),
+        )
+        .route(
+            "/v1/farm/webhooks/{id}",
+            get(|Path(id): Path<String>| async move {
+                if id == "w1" { Json(webhook()).into_response() } else { unknown("webhook", &id) }
+            }),
+        )
+        .route(
+            "/v1/farm/webhooks/{id}/deliveries",
+            get(|| async { page(vec![typed::<WebhookDelivery>(delivery())], Some("next/1")) }),
         )
         .route(
             "/v1/farm/suites/{id}",

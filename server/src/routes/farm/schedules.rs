@@ -3,7 +3,7 @@
 use axum::Json as Reply;
 use axum::extract::State;
 use http::StatusCode;
-use lightshaft_api::farm::{NewSchedule, Schedule};
+use lightshaft_api::farm::{NewSchedule, Schedule, SchedulePatch};
 use lightshaft_api::page::Page;
 use lightshaft_api::problem::Problem;
 
@@ -36,6 +36,23 @@ pub(in crate::routes) async fn create_schedule(
 )]
 pub(in crate::routes) async fn list_schedules(State(app): State<Shared>) -> ApiResult<Reply<Page<Schedule>>> {
     Ok(Reply(Page { items: app.schedules().await?, next_cursor: None }))
+}
+
+/// Pauses a schedule, or resumes it from now on: times that passed while it was paused are skipped.
+#[utoipa::path(
+    patch, path = "/v1/farm/schedules/{id}", tag = "farm", request_body = SchedulePatch,
+    params(("id" = String, Path, description = "The schedule")),
+    responses(
+        (status = 200, body = Schedule),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(in crate::routes) async fn change_schedule(
+    State(app): State<Shared>,
+    Id(id): Id,
+    Json(patch): Json<SchedulePatch>,
+) -> ApiResult<Reply<Schedule>> {
+    Ok(Reply(app.change_schedule(&id, &patch).await?))
 }
 
 /// Deletes a schedule. Runs that it began stay.

@@ -11,7 +11,7 @@ use super::runs::Made;
 use crate::app::Shared;
 use crate::error::ApiResult;
 use crate::store::PageRequest;
-use crate::web::body::{Id, Json, PageParams, Params};
+use crate::web::body::{Id, Ids, Json, PageParams, Params};
 use crate::web::page::page;
 
 /// Adds a webhook: an address that is told of verdicts and decisions, in the form of Standard Webhooks
@@ -88,4 +88,24 @@ pub(in crate::routes) async fn list_deliveries(
 ) -> ApiResult<Reply<Page<WebhookDelivery>>> {
     let request = PageRequest { limit: rows.limit()? + 1, after: rows.after_id()? };
     Ok(page(app.deliveries(&id, &request).await?, request.limit, |delivery| &delivery.id))
+}
+
+/// Sends a message again now, under its id: one that was given up, one that waits for its next attempt, or one that was
+/// taken and lost by its receiver. Every further attempt is noted like the first.
+#[utoipa::path(
+    post, path = "/v1/farm/webhooks/{id}/deliveries/{delivery}/resend", tag = "farm",
+    params(
+        ("id" = String, Path, description = "The webhook"),
+        ("delivery" = String, Path, description = "The message"),
+    ),
+    responses(
+        (status = 200, description = "It waits to be sent", body = WebhookDelivery),
+        (status = "default", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(in crate::routes) async fn resend_delivery(
+    State(app): State<Shared>,
+    Ids(id, delivery): Ids,
+) -> ApiResult<Reply<WebhookDelivery>> {
+    Ok(Reply(app.resend_delivery(&id, &delivery).await?))
 }

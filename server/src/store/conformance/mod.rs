@@ -1,9 +1,11 @@
 //! What every store must do, each behaviour a sentence. A new store passes by adding one line to [`suite`]'s calls.
 
 mod farm;
+mod jobs;
 mod leases;
+mod lists;
 mod model;
-mod rest;
+mod scenes;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -244,7 +246,7 @@ suite! {
         a_worker_that_registers_anew_has_lost_its_lease,
         a_cancelled_task_is_released_as_cancelled,
         a_release_without_cancellation_gives_the_task_back;
-    rest:
+    jobs:
         a_job_needs_a_scene,
         an_idempotency_key_makes_one_job,
         an_idempotency_key_is_forgotten,
@@ -252,17 +254,20 @@ suite! {
         a_merged_picture_leaves_no_parts,
         only_finished_jobs_are_deleted_and_then_with_everything,
         old_jobs_are_found_but_thumbnails_stay,
-        scenes_get_one_thumbnail_each,
         a_retry_repeats_only_what_did_not_succeed,
         a_job_that_nobody_can_do_is_given_up_unless_taken,
         running_and_succeeded_jobs_are_not_retried,
-        cancelling_is_idempotent_and_refused_at_the_end,
+        cancelling_is_idempotent_and_refused_at_the_end;
+    lists:
         jobs_are_listed_newest_first_and_filtered,
         pages_join_without_gap_or_repeat,
         the_queue_stands_in_the_order_of_turns,
         the_queue_tells_what_holds_a_job_up,
         measurements_are_those_of_jobs_that_rendered_alike,
         events_tell_a_jobs_story_in_order,
+        totals_count_everything;
+    scenes:
+        scenes_get_one_thumbnail_each,
         the_same_scene_is_kept_once,
         a_scene_in_use_is_not_deleted,
         deleting_a_scene_cancels_its_automatic_jobs,
@@ -270,8 +275,7 @@ suite! {
         an_unreadable_structure_is_replaced_once,
         used_blobs_are_known,
         a_busy_worker_is_not_removed,
-        the_store_can_be_written,
-        totals_count_everything;
+        the_store_can_be_written;
     farm:
         a_task_that_demands_a_worker_goes_to_no_other,
         the_same_suite_is_kept_once,

@@ -68,3 +68,35 @@ async fn a_run_that_cannot_begin_is_told_of_and_a_deleted_schedule_begins_none()
     assert_eq!(farm.service.delete(&path).await.status, StatusCode::NOT_FOUND);
     assert!(schedules(&farm).await.is_empty());
 }
+
+#[tokio::test]
+async fn a_paused_schedule_begins_nothing_and_goes_on_from_when_it_is_resumed() {
+    let farm = Farm::start().await;
+    let made: Schedule = farm.service.post("/v1/farm/schedules", body(&farm, "*/10 * * * *").await).await.json();
+    let first = made.next_at.unwrap().as_millisecond();
+    let path = format!("/v1/farm/schedules/{}", made.id);
+    let change = async |paused: bool| -> Schedule {
+        let answer = farm.service.patch(&path, json!({ "paused": paused })).await;
+        assert_eq!(answer.status, StatusCode::OK, "{}", String::from_utf8_lossy(&answer.body));
+        answer.json()
+    };
+    assert_eq!(change(false).await, made, "it runs already");
+    let paused = change(true).await;
+    assert_eq!((paused.paused, paused.next_at), (true, None));
+    farm.service.clock.advance(35 * MINUTE_MS);
+    assert_eq!(farm.service.app.begin_scheduled_runs().await.unwrap(), 0);
+    let resumed = change(false).await;
+    assert_eq!((resumed.paused, resumed.next_at.unwrap().as_millisecond()), (false, first + 30 * MINUTE_MS));
+    assert_eq!(farm.service.app.begin_scheduled_runs().await.unwrap(), 0, "what passed is skipped");
+    farm.service.clock.advance(5 * MINUTE_MS);
+    assert_eq!(farm.service.app.begin_scheduled_runs().await.unwrap(), 1);
+
+    assert_eq!(farm.service.patch(&path, json!({ "paused": 1 })).await.pointers(), ["/paused"]);
+    let unknown = farm.service.patch("/v1/farm/schedules/none", json!({ "paused": true })).await;
+    assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+    let mut sleeping = body(&farm, "* * * * *").await;
+    sleeping["name"] = json!("later");
+    sleeping["paused"] = json!(true);
+    let sleeping: Schedule = farm.service.post("/v1/farm/schedules", sleeping).await.json();
+    assert_eq!((sleeping.paused, sleeping.next_at), (true, None), "from the beginning");
+}

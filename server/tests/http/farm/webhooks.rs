@@ -214,6 +214,35 @@ async fn a_message_that_nobody_takes_is_given_up_and_forgotten_after_a_month() {
 }
 
 #[tokio::test]
+async fn a_message_is_sent_again_when_somebody_asks_for_it() {
+    let (farm, receiver) = (start().await, Receiver::start(&[500]).await);
+    let webhook = add(&farm, &receiver, json!({ "events": ["run.finished"] })).await;
+    farm.run("base", json!({})).await;
+    assert_eq!(deliver(&farm).await, 0);
+    let waiting = deliveries(&farm, &webhook).await.remove(0);
+    let path = format!("/v1/farm/webhooks/{webhook}/deliveries/{}/resend", waiting.id);
+    let resend = async || -> WebhookDelivery {
+        let answer = farm.service.post(&path, json!(null)).await;
+        assert_eq!(answer.status, StatusCode::OK, "{}", String::from_utf8_lossy(&answer.body));
+        answer.json()
+    };
+    let sooner = resend().await;
+    assert_eq!((sooner.state, sooner.attempts.len()), (DeliveryState::Waiting, 1));
+    assert!(sooner.next_at < waiting.next_at, "at once, not after its pause");
+    assert_eq!(deliver(&farm).await, 1);
+    resend().await;
+    assert_eq!(deliver(&farm).await, 1, "also one that was taken");
+    let told = deliveries(&farm, &webhook).await.remove(0);
+    assert_eq!((told.state, told.attempts.len()), (DeliveryState::Delivered, 3));
+    assert!(receiver.ids().iter().all(|id| *id == waiting.id), "under its id, for receivers that know it");
+
+    let other = add(&farm, &receiver, json!({})).await;
+    for path in [path.replace(&webhook, &other), path.replace(&waiting.id, "none")] {
+        assert_eq!(farm.service.post(&path, json!(null)).await.status, StatusCode::NOT_FOUND, "{path}");
+    }
+}
+
+#[tokio::test]
 async fn a_deleted_webhook_is_told_nothing_more() {
     let (farm, receiver) = (start().await, Receiver::start(&[]).await);
     let webhook = add(&farm, &receiver, json!({})).await;

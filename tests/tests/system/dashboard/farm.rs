@@ -7,23 +7,8 @@ use serde_json::{Value, json};
 
 use super::{decoded, says};
 
-const SUITE: &str = r#"
-    name = "still life"
-    [scenes.demo]
-    generate = "demo"
-    [[case]]
-    name = "path"
-    scene = "demo"
-    device = "cpu"
-    settings = { width = 48, height = 36, spp = 4 }
-    time = "off"
-    [[case]]
-    name = "occlusion"
-    scene = "demo"
-    device = "cpu"
-    settings = { width = 48, height = 36, spp = 4, integrator = "ao" }
-    time = "off"
-"#;
+/// As `tests/browser` has it.
+const SUITE: &str = include_str!("../../../farm/still-life.toml");
 
 async fn suite(service: &Service) -> String {
     let request = service.request(Method::POST, "/v1/farm/suites").header("content-type", "application/toml");

@@ -252,19 +252,25 @@ class Farm(Base):
         overrides: Mapping[str, Any] | None = None,
         cases: Sequence[str] = (),
         priority: int = 0,
+        paused: bool = False,
     ) -> Schedule:
         """Begins a run by the clock: `cron` is minute, hour, day, month and day of the week, in UTC."""
         run = _of_suite(suite, label, labels, scenes, overrides, cases, priority) | {"baseline": baseline}
-        body = {"name": name, "cron": cron, "run": run}
+        body = {"name": name, "cron": cron, "run": run, "paused": paused}
         return await self._caller.json(Schedule, Request("POST", "v1/farm/schedules", json=body, is_repeatable=False))
 
     async def schedules(self) -> list[Schedule]:
         """All schedules by name."""
         return (await self._caller.page(Schedule, Request("GET", "v1/farm/schedules"))).items
 
-    async def delete_schedule(self, schedule: str) -> None:
+    async def change_schedule(self, schedule: str | Schedule, *, paused: bool) -> Schedule:
+        """Pauses a schedule, or resumes it from now on: times that passed meanwhile are skipped."""
+        request = Request("PATCH", _schedule_path(schedule), json={"paused": paused})
+        return await self._caller.json(Schedule, request)
+
+    async def delete_schedule(self, schedule: str | Schedule) -> None:
         """Deletes a schedule; runs that it began stay."""
-        await self._caller.content(Request("DELETE", f"v1/farm/schedules/{segment(schedule)}"))
+        await self._caller.content(Request("DELETE", _schedule_path(schedule)))
 
 
 def _of_suite(
@@ -285,6 +291,10 @@ def _of_suite(
         "cases": list(cases),
         "priority": priority,
     }
+
+
+def _schedule_path(schedule: str | Schedule) -> str:
+    return f"v1/farm/schedules/{segment(schedule if isinstance(schedule, str) else schedule.id)}"
 
 
 def _run_path(run: str | Run) -> str:

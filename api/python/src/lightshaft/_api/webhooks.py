@@ -35,6 +35,11 @@ class Webhooks(Base):
         """Deletes a webhook with the messages that wait for it."""
         await self._caller.content(Request("DELETE", f"{_PATH}/{segment(webhook)}"))
 
+    async def resend_delivery(self, webhook: str, delivery: str) -> WebhookDelivery:
+        """Sends a message again, now; whatever became of it."""
+        path = f"{_PATH}/{segment(webhook)}/deliveries/{segment(delivery)}/resend"
+        return await self._caller.json(WebhookDelivery, Request("POST", path))
+
     async def deliveries(
         self, webhook: str, *, limit: int | None = None, cursor: str | None = None
     ) -> Page[WebhookDelivery]:

@@ -14,6 +14,7 @@ struct ScheduleRow {
     name: String,
     cron: String,
     run: String,
+    paused: bool,
     next_at: Option<i64>,
     begun_at: Option<i64>,
     last_run: Option<String>,
@@ -28,6 +29,7 @@ impl ScheduleRow {
             name: self.name,
             cron: self.cron,
             run: from_json(&self.run)?,
+            paused: self.paused,
             next_at: self.next_at.map(timestamp).transpose()?,
             begun_at: self.begun_at.map(timestamp).transpose()?,
             last_run: self.last_run,
@@ -41,8 +43,8 @@ impl ScheduleRow {
 impl ScheduleStore for SqliteStore {
     async fn add_schedule(&self, schedule: &Schedule) -> Result<bool> {
         let added = sqlx::query(
-            "INSERT INTO farm_schedule (id, name, cron, run, next_at, created_at) VALUES ($1, $2, $3, $4, $5, $6)
-             ON CONFLICT (name) DO NOTHING",
+            "INSERT INTO farm_schedule (id, name, cron, run, next_at, created_at, paused)
+             VALUES ($1, $2, $3, $4, $5, $6, $7) ON CONFLICT (name) DO NOTHING",
         )
         .bind(&schedule.id)
         .bind(&schedule.name)
@@ -50,6 +52,7 @@ impl ScheduleStore for SqliteStore {
         .bind(to_json(&schedule.run)?)
         .bind(schedule.next_at.map(jiff::Timestamp::as_millisecond))
         .bind(schedule.created_at.as_millisecond())
+        .bind(schedule.paused)
         .execute(&self.writer)
         .await
         .map_err(context("adding a schedule"))?;
@@ -58,7 +61,7 @@ impl ScheduleStore for SqliteStore {
 
     async fn schedules(&self, due_at: Option<Millis>) -> Result<Vec<Schedule>> {
         let rows: Vec<ScheduleRow> = sqlx::query_as(
-            "SELECT id, name, cron, run, next_at, begun_at, last_run, error, created_at FROM farm_schedule
+            "SELECT id, name, cron, run, paused, next_at, begun_at, last_run, error, created_at FROM farm_schedule
              WHERE $1 IS NULL OR next_at <= $1 ORDER BY name",
         )
         .bind(due_at)
@@ -75,6 +78,17 @@ impl ScheduleStore for SqliteStore {
             .await
             .map_err(context("deleting a schedule"))?;
         Ok(deleted.rows_affected() > 0)
+    }
+
+    async fn change_schedule(&self, id: &str, paused: bool, next_at: Option<Millis>) -> Result<bool> {
+        let changed = sqlx::query("UPDATE farm_schedule SET paused = $2, next_at = $3 WHERE id = $1")
+            .bind(id)
+            .bind(paused)
+            .bind(next_at)
+            .execute(&self.writer)
+            .await
+            .map_err(context("pausing a schedule"))?;
+        Ok(changed.rows_affected() > 0)
     }
 
     async fn take_schedule(&self, due: &Schedule, next_at: Option<Millis>, now: Millis) -> Result<bool> {

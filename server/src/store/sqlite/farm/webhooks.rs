@@ -49,6 +49,18 @@ struct DeliveryRow {
     body: String,
 }
 
+impl DeliveryRow {
+    fn into_delivery(self, attempts: Vec<DeliveryAttempt>) -> Result<WebhookDelivery> {
+        Ok(WebhookDelivery {
+            state: from_name(&self.state)?,
+            next_at: self.due_at.map(timestamp).transpose()?,
+            message: from_json(&self.body)?,
+            attempts,
+            id: self.id,
+        })
+    }
+}
+
 #[derive(FromRow)]
 struct AttemptRow {
     delivery_id: String,
@@ -187,15 +199,35 @@ impl WebhookStore for SqliteStore {
         };
         rows.into_iter()
             .map(|row| {
-                Ok(WebhookDelivery {
-                    state: from_name(&row.state)?,
-                    next_at: row.due_at.map(timestamp).transpose()?,
-                    message: from_json(&row.body)?,
-                    attempts: attempts.remove(&row.id).unwrap_or_default(),
-                    id: row.id,
-                })
+                let attempts = attempts.remove(&row.id).unwrap_or_default();
+                row.into_delivery(attempts)
             })
             .collect()
+    }
+
+    async fn delivery(&self, webhook: &str, id: &str) -> Result<Option<WebhookDelivery>> {
+        let row: Option<DeliveryRow> =
+            sqlx::query_as("SELECT id, state, due_at, body FROM farm_delivery WHERE webhook_id = $1 AND id = $2")
+                .bind(webhook)
+                .bind(id)
+                .fetch_optional(&self.readers)
+                .await
+                .map_err(context("reading a delivery"))?;
+        let Some(row) = row else { return Ok(None) };
+        let attempts = self.read_delivery_attempts(webhook, id, id).await?.remove(id).unwrap_or_default();
+        row.into_delivery(attempts).map(Some)
+    }
+
+    async fn resend(&self, webhook: &str, delivery: &str, now: Millis) -> Result<bool> {
+        let changed =
+            sqlx::query("UPDATE farm_delivery SET state = 'waiting', due_at = $3 WHERE webhook_id = $1 AND id = $2")
+                .bind(webhook)
+                .bind(delivery)
+                .bind(now)
+                .execute(&self.writer)
+                .await
+                .map_err(context("having a message sent again"))?;
+        Ok(changed.rows_affected() > 0)
     }
 
     async fn forget_deliveries(&self, before: Millis) -> Result<u64> {

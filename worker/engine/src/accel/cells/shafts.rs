@@ -54,6 +54,12 @@ impl CellShaftParams {
             None => 4,
         }
     }
+
+    /// Bytes of the Line Space of one node of a level, in a tree whose nodes have `n` cells on each axis.
+    pub fn bytes_of_node(&self, level: u32, n: u32) -> u64 {
+        let patches = n.div_ceil(self.width(level, n));
+        4 + 4 * symmetric_count(patches).div_ceil(32)
+    }
 }
 
 /// The Line Spaces of a tree's nodes. Immutable; share it in an [`std::sync::Arc`].
@@ -100,10 +106,8 @@ impl CellShafts {
 
     /// Bytes that the Line Spaces of a tree's nodes take at most, known before anything is allocated.
     pub fn bytes_at_most(tree: &CellTree, params: &CellShaftParams) -> u64 {
-        let of_level = |level: u32| {
-            let patches = tree.layout.n.div_ceil(params.width(level, tree.layout.n));
-            u64::from(tree.nodes_at(level).len() as u32) * (4 + 4 * symmetric_count(patches).div_ceil(32))
-        };
+        let of_level =
+            |level: u32| u64::from(tree.nodes_at(level).len() as u32) * params.bytes_of_node(level, tree.layout.n);
         Self::usable(tree, params.levels).map(of_level).sum()
     }
 
