@@ -1,4 +1,4 @@
-// Two-level walk of compressed wide BVHs (Ylitie, Karras, Laine 2017, section 4; layout in `wide.rs`).
+// Two-level walk of compressed wide BVHs (Ylitie, Karras, Laine 2017, section 4; layout in `compressed.rs`).
 //
 // The stack holds groups: all hit inner children of one node, or the untested entries of one leaf group, as
 // (base, bits): bits 24..31 mark inner children by visiting order, bits 0..7 then say which slots are inner;
@@ -7,8 +7,8 @@
 // mesh plus two, cannot overflow.
 //
 // Constants from outside: STACK_SIZE, ANY_HIT (stop at the first hit), SPHERES (there are any), FILTERED
-// (some placements' hits go through the alpha filter), COUNTING, FLAT (primitives name their instance), and those of
-// `gate.wgsl`.
+// (some placements' hits go through the alpha filter), COUNTING, FLAT (primitives name their instance), ALONE (the
+// top level is one instance), and those of `gate.wgsl`.
 
 //!include rays
 //!include intersect
@@ -62,12 +62,12 @@ fn hit_bits(
     let scale_x = PLACES * scale.x;
     let scale_y = PLACES * scale.y;
     let scale_z = PLACES * scale.z;
-    let enter_x = planes(near_x) * scale_x + enter.x;
-    let enter_y = planes(near_y) * scale_y + enter.y;
-    let enter_z = planes(near_z) * scale_z + enter.z;
-    let leave_x = planes(far_x) * scale_x + leave.x;
-    let leave_y = planes(far_y) * scale_y + leave.y;
-    let leave_z = planes(far_z) * scale_z + leave.z;
+    let enter_x = fma(planes(near_x), scale_x, vec4<f32>(enter.x));
+    let enter_y = fma(planes(near_y), scale_y, vec4<f32>(enter.y));
+    let enter_z = fma(planes(near_z), scale_z, vec4<f32>(enter.z));
+    let leave_x = fma(planes(far_x), scale_x, vec4<f32>(leave.x));
+    let leave_y = fma(planes(far_y), scale_y, vec4<f32>(leave.y));
+    let leave_z = fma(planes(far_z), scale_z, vec4<f32>(leave.z));
     let first = max(max(ordered(enter_x), ordered(enter_y)), max(ordered(enter_z), vec4<i32>(bitcast<i32>(t_min))));
     let last = min(min(ordered(leave_x), ordered(leave_y)), min(ordered(leave_z), vec4<i32>(bitcast<i32>(t_max))));
     let is_inner = (meta_word & (meta_word << 1u)) & 0x10101010u;
@@ -143,8 +143,9 @@ fn trace(world: Ray) -> Trace {
     var filtered = false;
     var ray = prepare_ray(world.origin, world.direction);
     var octant = octant_of(ray);
-    // Pretends a parent with the root as its only child; an empty scene has a root without children.
-    var inner = vec2<u32>(0u, 0x80000000u);
+    // Pretends a parent with the root as its only child; an empty scene has a root without children. An instance alone
+    // is entered at once: its mesh's root tests the same box.
+    var inner = vec2<u32>(0u, select(0x80000000u, 1u, ALONE));
     var leaf = vec2<u32>(0u);
     loop {
         if inner.y > 0x00ffffffu {

@@ -146,6 +146,7 @@ fn cells(tree: &CellTree, names: &Names) -> HostStructure {
         filtered: names.any_filtered(),
         gated: false,
         approximate: false,
+        alone: false,
         walk: Walk::Cells,
     }
 }

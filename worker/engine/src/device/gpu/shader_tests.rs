@@ -40,6 +40,7 @@ fn module(
         flag("GATED", true),
         flag("APPROXIMATE", true),
         flag("FLAT", true),
+        flag("ALONE", false),
     ];
     let source = compose(stage, &Variant { constants, pools: &pools(chunks), replacements });
     let module = naga::front::wgsl::parse_str(&source.wgsl)

@@ -135,6 +135,8 @@ pub struct HostStructure {
     pub gated: bool,
     /// Whether occlusion rays take for true what it does not prove.
     pub approximate: bool,
+    /// The top level is one instance, which needs no test of its box ahead of the mesh's root.
+    pub(super) alone: bool,
     pub(super) walk: Walk,
 }
 
@@ -178,6 +180,8 @@ impl HostStructure {
             .map(|(&(first_node, _), mesh)| [first_node, host.push_gate(gates.get(mesh).and_then(Option::as_deref))])
             .collect();
         host.approximate = accel.gates().approximate;
+        let has_root = |instance: u32| !trees[placements[instance as usize].mesh as usize].nodes.is_empty();
+        host.alone = matches!(top.leaves[..], [instance] if has_root(instance));
         host.set_placements(&top.leaves, placements, &roots);
         host.stack_size = top.depth + trees.iter().map(|tree| tree.depth).max().unwrap_or(0) + 2;
         host
@@ -213,6 +217,7 @@ impl HostStructure {
             filtered: false,
             gated: false,
             approximate: false,
+            alone: false,
             walk: Walk::TwoLevel,
         }
     }
@@ -354,6 +359,7 @@ pub(super) struct GpuStructure {
     /// Some mesh has a Line Space that is asked.
     pub gated: bool,
     approximate: bool,
+    alone: bool,
     walk: Walk,
     pub bytes: u64,
 }
@@ -370,6 +376,7 @@ impl GpuStructure {
             ("COUNTING", counting.to_string()),
             ("GATED", self.gated.to_string()),
             ("APPROXIMATE", self.approximate.to_string()),
+            ("ALONE", self.alone.to_string()),
             ("FLAT", (self.walk == Walk::Flat).to_string()),
         ]
     }
@@ -393,6 +400,7 @@ impl GpuStructure {
             filtered: host.filtered,
             gated: host.gated,
             approximate: host.approximate,
+            alone: host.alone,
             walk: host.walk,
             bytes: nodes.bytes + prims.bytes,
             pools: [nodes.layout, prims.layout],
