@@ -11,7 +11,7 @@ use serde::de::{DeserializeSeed, Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-pub use self::metrics::{CacheReport, CacheSource, LineSpaceUse, Metrics, RayCounts};
+pub use self::metrics::{BuiltOn, CacheReport, CacheSource, LineSpaceUse, Metrics, RayCounts};
 pub use self::task::{Attempt, AttemptOutcome, Phase, Task, TaskState, TaskWork};
 use crate::estimate::Estimate;
 use crate::problem::{FieldError, escape_pointer};

@@ -255,6 +255,9 @@ pub struct Acceleration {
     pub policy: Policy,
     /// Of policy `approximate_occlusion`, with boxes below the mesh's own: what is done in the box in which a ray starts.
     pub origin_node: OriginNode,
+    /// Of the same: boxes nearer to a ray's start or end than so many of their longest edges count as the one in which it starts, 0 to
+    /// 16. Without (0), a surface darkens itself along the borders of boxes, and lamps stand in their own light.
+    pub origin_reach: f32,
     /// Of policy `adaptive`.
     pub adaptive: Adaptive,
     /// Of policy `representative`.
@@ -276,6 +279,7 @@ impl Default for Acceleration {
             line_space: None,
             policy: Policy::Exact,
             origin_node: OriginNode::default(),
+            origin_reach: 1.0,
             adaptive: Adaptive::default(),
             representative: Representative::default(),
         }

@@ -149,8 +149,8 @@ impl LineSpaceUse {
 }
 
 fn join_reports(reports: &mut Vec<CacheReport>) {
-    fn key(report: &CacheReport) -> (&str, &str, CacheSource) {
-        (&report.mesh, &report.structure, report.source)
+    fn key(report: &CacheReport) -> (&str, &str, CacheSource, Option<BuiltOn>) {
+        (&report.mesh, &report.structure, report.source, report.built_on)
     }
     reports.sort_by(|a, b| key(a).cmp(&key(b)));
     reports.dedup_by(|next, kept| {
@@ -221,8 +221,27 @@ pub struct CacheReport {
     /// Structure kind and parameters.
     pub structure: String,
     pub source: CacheSource,
+    /// What built it; null where it was not built for this job. Both devices build the same, bit for bit.
+    pub built_on: Option<BuiltOn>,
     pub seconds: f64,
     pub bytes: u64,
+}
+
+/// The kind of device that built something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BuiltOn {
+    Cpu,
+    Gpu,
+}
+
+impl BuiltOn {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+        }
+    }
 }
 
 #[cfg(test)]
@@ -235,6 +254,7 @@ mod tests {
             mesh: mesh.to_owned(),
             structure: "bvh".to_owned(),
             source,
+            built_on: (source == CacheSource::Built).then_some(BuiltOn::Cpu),
             seconds,
             bytes: 100,
         };

@@ -145,6 +145,7 @@ impl Acceleration {
             c.check(is_right, "policy", &format!("per_bounce must have 1 to {MAX_BOUNCES} policies"));
         }
         c.check(in_range(self.adaptive.delta, 0.0, 1e6), "adaptive/delta", "must be 0 to 1000000");
+        c.check(in_range(self.origin_reach, 0.0, 16.0), "origin_reach", "must be 0 to 16");
         let angle = self.representative.angle_threshold_deg;
         c.check(in_range(angle, 0.0, 180.0), "representative/angle_threshold_deg", "must be 0 to 180");
         let slack = self.representative.range_slack;
@@ -336,9 +337,11 @@ mod tests {
         assert_eq!(wrong(json!({ "acceleration": flat })), ["policy"]);
         let numbers = json!({
             "adaptive": { "delta": -1.0 },
+            "origin_reach": 17.0,
             "representative": { "angle_threshold_deg": 181.0, "range_slack": 1.5 },
         });
-        let fields = ["adaptive/delta", "representative/angle_threshold_deg", "representative/range_slack"];
+        let fields =
+            ["adaptive/delta", "origin_reach", "representative/angle_threshold_deg", "representative/range_slack"];
         assert_eq!(wrong(json!({ "acceleration": numbers })), fields);
     }
 }

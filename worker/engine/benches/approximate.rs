@@ -57,7 +57,7 @@ struct Configuration {
 
 fn rules(policy: BouncePolicy) -> Approximation {
     let (adaptive, candidates) = (AdaptiveRules::default(), CandidateRules::default());
-    Approximation { bounces: vec![policy], exact_origin: true, adaptive, candidates }
+    Approximation { bounces: vec![policy], exact_origin: true, origin_reach: 0.0, adaptive, candidates }
 }
 
 fn measure(name: &str, scene: &Scene) {

@@ -177,9 +177,10 @@ impl Room {
         Self { center: bounds.center(), half, radius: half.length(), is_inside: camera.is_some_and(inside) }
     }
 
-    /// Something for the shadows of single objects to fall on. Not wide: a uniform grid has cells for all of it.
+    /// Something for the shadows of single objects to fall on. Not wide: grids and N-trees have cells for all of it, and those of the
+    /// thesis are filled by the object alone (table 5.1: 12,400 nodes in (8, 3), three for each of 64^2).
     fn ground(&self) -> Option<Ground> {
-        (!self.is_inside).then(|| Ground { half_size: Some(1.5 * self.radius), ..Ground::default() })
+        (!self.is_inside).then(|| Ground { half_size: Some(self.radius), ..Ground::default() })
     }
 
     fn point_light(&self, number: u32, count: u32) -> Light {
@@ -204,12 +205,12 @@ impl Room {
         }
     }
 
-    /// A square that faces the centre of the scene.
+    /// A square that faces the centre of the scene. It hangs above the ground, for the same reason.
     fn hang_area_light(&self, scene: &mut Scene) {
         let (place, half_side) = if self.is_inside {
             (self.center + self.half * Vec3::new(0.1, 0.8, 0.1), 0.2 * self.half.x.min(self.half.z))
         } else {
-            (self.center + self.radius * Vec3::new(0.9, 1.5, 0.7), 0.3 * self.radius)
+            (self.center + self.radius * Vec3::new(0.5, 1.2, 0.4), 0.22 * self.radius)
         };
         let half_side = half_side.max(f32::MIN_POSITIVE);
         let towards = (self.center - place).normalize_or(Vec3::NEG_Y);

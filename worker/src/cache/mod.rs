@@ -14,5 +14,5 @@ mod structures;
 pub use blobs::BlobCache;
 pub use disk::{DiskStore, PendingFile, Pin};
 pub use lru::Lru;
-pub use recipe::{Cached, Kept, LineSpaceRecipe, NodeSpacesRecipe, Recipe};
+pub use recipe::{Built, Cached, Kept, LineSpaceRecipe, NodeSpacesRecipe, Recipe};
 pub use structures::{Obtained, StructureCache, StructureStore};

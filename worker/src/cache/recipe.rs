@@ -3,6 +3,7 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Weak};
 
+use lightshaft_api::job::BuiltOn;
 use lightshaft_engine::accel::line_space::{LineSpace, LineSpaceParams, NodeSpaceParams, NodeSpaces};
 use lightshaft_engine::accel::{
     BuildError, BuildParams, CorruptStructure, MeshStructure, Structure, StructureKey, StructureParams, WeakStructure,
@@ -16,11 +17,25 @@ pub trait Recipe {
 
     fn key(&self, mesh: &Mesh) -> StructureKey;
 
-    /// What there is to tell beside the product goes to `warnings`.
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool, warnings: &mut Vec<String>) -> Result<Self::Product, BuildError>;
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Built<Self::Product>, BuildError>;
 
     /// Reads what [`Cached::encode`] wrote, and checks it.
     fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Self::Product, CorruptStructure>;
+}
+
+/// What a recipe made.
+#[derive(Debug)]
+pub struct Built<T> {
+    pub product: T,
+    pub on: BuiltOn,
+    /// What else there is to tell.
+    pub warning: Option<String>,
+}
+
+impl<T> Built<T> {
+    fn on_cpu(product: T) -> Self {
+        Self { product, on: BuiltOn::Cpu, warning: None }
+    }
 }
 
 /// Something over a mesh that is shared, stored and counted.
@@ -93,8 +108,8 @@ impl Recipe for StructureParams {
         StructureParams::key(self, mesh.hash)
     }
 
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool, _: &mut Vec<String>) -> Result<Structure, BuildError> {
-        Structure::build(mesh, self, cancel)
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Built<Structure>, BuildError> {
+        Structure::build(mesh, self, cancel).map(Built::on_cpu)
     }
 
     fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Structure, CorruptStructure> {
@@ -143,18 +158,14 @@ impl Recipe for LineSpaceRecipe<'_> {
         self.params.key(mesh.hash)
     }
 
-    fn build(
-        &self,
-        mesh: &Mesh,
-        cancel: &AtomicBool,
-        warnings: &mut Vec<String>,
-    ) -> Result<Arc<LineSpace>, BuildError> {
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Built<Arc<LineSpace>>, BuildError> {
         let Some(builder) = self.on_gpu else {
-            return LineSpace::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new);
+            let space = LineSpace::build(mesh, self.structure, &self.params, self.budget_bytes, cancel)?;
+            return Ok(Built::on_cpu(Arc::new(space)));
         };
         let built = builder.build(mesh, self.structure, &self.params, self.budget_bytes, cancel)?;
-        warnings.extend(built.warning);
-        Ok(Arc::new(built.space))
+        let on = if built.on_gpu { BuiltOn::Gpu } else { BuiltOn::Cpu };
+        Ok(Built { product: Arc::new(built.space), on, warning: built.warning })
     }
 
     fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Arc<LineSpace>, CorruptStructure> {
@@ -202,8 +213,9 @@ impl Recipe for NodeSpacesRecipe<'_> {
         self.params.key(mesh.hash, &self.over)
     }
 
-    fn build(&self, mesh: &Mesh, cancel: &AtomicBool, _: &mut Vec<String>) -> Result<Arc<NodeSpaces>, BuildError> {
-        NodeSpaces::build(mesh, self.structure, &self.params, self.budget_bytes, cancel).map(Arc::new)
+    fn build(&self, mesh: &Mesh, cancel: &AtomicBool) -> Result<Built<Arc<NodeSpaces>>, BuildError> {
+        let spaces = NodeSpaces::build(mesh, self.structure, &self.params, self.budget_bytes, cancel)?;
+        Ok(Built::on_cpu(Arc::new(spaces)))
     }
 
     fn decode(&self, bytes: &[u8], mesh: &Mesh) -> Result<Arc<NodeSpaces>, CorruptStructure> {

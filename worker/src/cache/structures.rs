@@ -9,14 +9,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use lightshaft_api::job::{CacheReport, CacheSource};
+use lightshaft_api::job::{BuiltOn, CacheReport, CacheSource};
 use lightshaft_api::worker::CacheStatus;
 use lightshaft_engine::accel::{BuildError, Structure, StructureKey};
 use lightshaft_engine::scene::Mesh;
 
 use super::disk::DiskStore;
 use super::lru::Lru;
-use super::recipe::{Cached, Kept, Recipe, WeakKept};
+use super::recipe::{Built, Cached, Kept, Recipe, WeakKept};
 
 #[cfg(test)]
 mod tests;
@@ -79,14 +79,18 @@ impl StructureCache {
         let key = recipe.key(mesh);
         let _turn = self.take_turn(&key, cancel)?;
         let mut warnings = Vec::new();
-        let (structure, source) = match self.find(&key, mesh, recipe, store, &mut warnings) {
-            Some(found) => found,
-            None => (self.build(&key, mesh, recipe, store, cancel, &mut warnings)?, CacheSource::Built),
+        let (structure, source, built_on) = match self.find(&key, mesh, recipe, store, &mut warnings) {
+            Some((found, source)) => (found, source, None),
+            None => {
+                let (built, on) = self.build(&key, mesh, recipe, store, cancel, &mut warnings)?;
+                (built, CacheSource::Built, Some(on))
+            }
         };
         let report = CacheReport {
             mesh: mesh.hash.to_string(),
             structure: format!("{} {}", key.kind, key.parameters),
             source,
+            built_on,
             seconds: started.elapsed().as_secs_f64(),
             bytes: structure.bytes(),
         };
@@ -192,9 +196,10 @@ impl StructureCache {
         store: Option<&dyn StructureStore>,
         cancel: &AtomicBool,
         warnings: &mut Vec<String>,
-    ) -> Result<R::Product, BuildError> {
+    ) -> Result<(R::Product, BuiltOn), BuildError> {
         let started = Instant::now();
-        let structure = recipe.build(mesh, cancel, warnings)?;
+        let Built { product: structure, on, warning } = recipe.build(mesh, cancel)?;
+        warnings.extend(warning);
         let build_s = started.elapsed().as_secs_f64();
         let encoded = (self.disk.is_some() || store.is_some()).then(|| structure.encode());
         let structure = self.remember(key, structure);
@@ -204,7 +209,7 @@ impl StructureCache {
                 store.publish(key, encoded, build_s);
             }
         }
-        Ok(structure)
+        Ok((structure, on))
     }
 
     fn save(&self, key: &StructureKey, encoded: &[u8], warnings: &mut Vec<String>) {

@@ -145,6 +145,7 @@ impl Executor {
             // Whoever finds it ready has every structure in memory.
             let in_memory = |report: &CacheReport| CacheReport {
                 source: lightshaft_api::job::CacheSource::Memory,
+                built_on: None,
                 seconds: 0.0,
                 ..report.clone()
             };

@@ -132,6 +132,7 @@ fn approximation(acceleration: &api::Acceleration) -> Approximation {
     Approximation {
         bounces: acceleration.policy.bounces().into_iter().map(bounce).collect(),
         exact_origin: acceleration.origin_node == api::OriginNode::Exact,
+        origin_reach: acceleration.origin_reach,
         adaptive: AdaptiveRules {
             delta: adaptive.delta,
             interpolate: adaptive.interpolate,

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use lightshaft_api::job::{CacheSource, TaskWork};
+use lightshaft_api::job::{BuiltOn, CacheSource, TaskWork};
 use lightshaft_api::lease::RetryClass;
 use lightshaft_api::settings::{
     Acceleration, Ask, DeviceChoice, Integrator, LineSpace, LineSpaceBuilder, LineSpacePayload, OnOverBudget,
@@ -115,14 +115,25 @@ fn both_devices_build_the_same_line_spaces_under_one_key() {
             let outputs = run(executor, &TaskWork::Frame, &settings, &inputs);
             let reports =
                 outputs.metrics.cache.into_iter().filter(|report| report.structure.starts_with("line_space "));
-            reports.map(|report| (report.mesh, report.structure, report.source, report.bytes)).collect::<Vec<_>>()
+            let (reports, built_on): (Vec<_>, Vec<_>) = reports
+                .map(|report| ((report.mesh, report.structure, report.source, report.bytes), report.built_on))
+                .unzip();
+            (reports, built_on)
         };
         let (first, second) = (executor_on(DeviceChoice::Auto), executor_on(DeviceChoice::Auto));
-        let on_gpu = spaces(&first, DeviceChoice::Gpu);
+        let (on_gpu, built_on) = spaces(&first, DeviceChoice::Gpu);
         assert!(!on_gpu.is_empty() && on_gpu.iter().all(|(_, _, source, _)| *source == CacheSource::Built));
-        assert_eq!(on_gpu, spaces(&second, DeviceChoice::Cpu), "{line_space:?}");
-        let found = spaces(&first, DeviceChoice::Cpu);
+        let has_kernel =
+            line_space.payload != LineSpacePayload::Coverage && line_space.builder != Some(LineSpaceBuilder::Clip);
+        let expected = if has_kernel { BuiltOn::Gpu } else { BuiltOn::Cpu };
+        // Spheres are the CPU's.
+        assert!(built_on.contains(&Some(expected)) && !built_on.contains(&None), "{line_space:?}: {built_on:?}");
+        let (on_cpu, built_on) = spaces(&second, DeviceChoice::Cpu);
+        assert_eq!(on_gpu, on_cpu, "{line_space:?}");
+        assert!(built_on.iter().all(|on| *on == Some(BuiltOn::Cpu)), "{line_space:?}: {built_on:?}");
+        let (found, built_on) = spaces(&first, DeviceChoice::Cpu);
         assert!(found.iter().all(|(_, _, source, _)| *source == CacheSource::Memory), "{line_space:?}: {found:?}");
+        assert!(built_on.iter().all(Option::is_none), "{line_space:?}: {built_on:?}");
     }
 }
 

@@ -59,6 +59,9 @@ BouncePolicy = Literal["exact", "approximate_occlusion", "adaptive", "representa
 
 BuildQuality = Literal["fast", "medium", "high"]
 
+#: The kind of device that built something.
+BuiltOn = Literal["cpu", "gpu"]
+
 CacheSource = Literal["built", "memory", "disk", "fetched"]
 
 CameraChoice: TypeAlias = "int | str | CustomCamera | dict[str, Any]"
@@ -225,6 +228,10 @@ class Acceleration:
     #: Of policy `approximate_occlusion`, with boxes below the mesh's own: what is done in the box in which a ray
     #: starts.
     origin_node: OriginNode | None = None
+    #: Of the same: boxes nearer to a ray's start or end than so many of their longest edges count as the one in which
+    #: it starts, 0 to 16. Without (0), a surface darkens itself along the borders of boxes, and lamps stand in their
+    #: own light.
+    origin_reach: float | None = None
     #: What `line_space` is used for.
     policy: Policy | None = None
     #: Of BVHs.
@@ -373,6 +380,8 @@ class BuildSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CacheReport:
+    #: What built it; null where it was not built for this job. Both devices build the same, bit for bit.
+    built_on: BuiltOn | None = None
     bytes: int
     #: Hash of the mesh; of a structure over all instances, a hash over their meshes and transforms.
     mesh: str

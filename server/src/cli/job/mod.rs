@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use lightshaft_api::client::{Client, JobFilter};
-use lightshaft_api::job::{Job, JobPatch, JobState, JobSummary};
+use lightshaft_api::job::{CacheReport, Job, JobPatch, JobState, JobSummary};
 use lightshaft_api::settings::JobSettings;
 use serde_json::json;
 
@@ -206,8 +206,10 @@ fn describe(job: &Job) -> String {
         line("rays", format!("{} ({:.2} MRays/s)", output::count(m.rays.total()), m.mrays_per_s));
         if matches!(job.settings, JobSettings::Build(_)) {
             for made in &m.cache {
+                let on = made.built_on.map(|on| format!(" on {}", on.as_str())).unwrap_or_default();
                 let (from, size) = (made.source.as_str(), output::bytes(made.bytes));
-                line("structure", format!("{} {}: {from}, {:.3} s, {size}", made.mesh, made.structure, made.seconds));
+                let CacheReport { mesh, structure, seconds, .. } = made;
+                line("structure", format!("{mesh} {structure}: {from}{on}, {seconds:.3} s, {size}"));
             }
         }
         for warning in &m.warnings {

@@ -48,6 +48,14 @@ pub(super) fn fields(a: &Acceleration) -> Vec<Field> {
             &current,
         ),
         field(
+            "origin_reach",
+            "and all nearer than",
+            "of their edges",
+            "Less: faster, and surfaces darken themselves.",
+            number(a.origin_reach, "0", "16"),
+        )
+        .when(POLICY, "\"approximate_occlusion\"", &current),
+        field(
             "adaptive/delta",
             "Delta",
             "",

@@ -74,7 +74,14 @@ pub(super) async fn a_merged_picture_leaves_no_parts(farm: &Farm) {
     let job = farm.job_with(&scene, |job| picture(job).split = Some(Split::Passes(2))).await;
     let worker = farm.worker().await;
     let report = |blob: &str, name: &str, source| {
-        let cache = CacheReport { mesh: "m".to_owned(), structure: "bvh".to_owned(), source, seconds: 1.0, bytes: 8 };
+        let cache = CacheReport {
+            mesh: "m".to_owned(),
+            structure: "bvh".to_owned(),
+            source,
+            built_on: None,
+            seconds: 1.0,
+            bytes: 8,
+        };
         let artifact =
             NewArtifact { name: name.to_owned(), media_type: "x/y".to_owned(), bytes: 1, blob: blob.to_owned() };
         Complete { artifacts: vec![artifact], metrics: Metrics { cache: vec![cache], ..Metrics::default() } }

@@ -64,6 +64,10 @@ pub struct Approximation {
     pub bounces: Vec<BouncePolicy>,
     /// Of [`BouncePolicy::Occlusion`]: nodes in which a ray starts are tested exactly; otherwise they are skipped (section 5.4.1).
     pub exact_origin: bool,
+    /// Of [`BouncePolicy::Occlusion`]: nodes nearer to a ray's start, or to its end, than so many of their longest edges count as those
+    /// in which it starts. A ray leaves the node in which it starts near the surface from which it comes, which goes on in the next
+    /// node; and it ends on a lamp, which began in the node before.
+    pub origin_reach: f32,
     pub adaptive: AdaptiveRules,
     pub candidates: CandidateRules,
 }
@@ -134,6 +138,8 @@ impl Approximating {
 struct Plan {
     depth: u32,
     exact_origin: bool,
+    /// See [`Approximation::origin_reach`].
+    origin_reach: f32,
     /// By how much its line moves before shafts are looked up.
     shift: Vec3,
 }
@@ -143,16 +149,16 @@ impl Question<'_> {
     #[inline(always)]
     fn plan(&self, spaces: &NodeSpaces, ray: &Ray) -> Option<Plan> {
         let deepest = spaces.params().depth;
-        let at_deepest = |exact_origin| Some(Plan { depth: deepest, exact_origin, shift: Vec3::ZERO });
+        let rules = &self.asked.rules;
         match self.policy {
             BouncePolicy::Exact => None,
-            BouncePolicy::Occlusion => at_deepest(self.asked.rules.exact_origin),
-            BouncePolicy::Representative => at_deepest(self.asked.rules.candidates.exact_origin),
+            BouncePolicy::Occlusion => Some(rules.plan_of_occlusion(deepest)),
+            BouncePolicy::Representative => Some(Plan::at(deepest, rules.candidates.exact_origin)),
             BouncePolicy::Adaptive => {
-                let rules = &self.asked.rules.adaptive;
+                let rules = &rules.adaptive;
                 let gap = gap_squared(spaces, ray);
                 if gap == 0.0 && !rules.exact_origin {
-                    return at_deepest(true);
+                    return Some(Plan::at(deepest, true));
                 }
                 // Most objects are found near enough here, without a root; also where it is not a number.
                 let is_far = gap * (self.scale * self.scale) >= 1.0;
@@ -170,9 +176,21 @@ impl Question<'_> {
                 } else {
                     Vec3::ZERO
                 };
-                Some(Plan { depth, exact_origin: true, shift })
+                Some(Plan { shift, ..Plan::at(depth, true) })
             }
         }
+    }
+}
+
+impl Plan {
+    fn at(depth: u32, exact_origin: bool) -> Self {
+        Self { depth, exact_origin, origin_reach: 0.0, shift: Vec3::ZERO }
+    }
+}
+
+impl Approximation {
+    fn plan_of_occlusion(&self, depth: u32) -> Plan {
+        Plan { origin_reach: self.origin_reach, ..Plan::at(depth, self.exact_origin) }
     }
 }
 
@@ -187,11 +205,23 @@ struct AskedBox<'a> {
     instance: u32,
 }
 
+impl AskedBox<'_> {
+    /// Whether a point is nearer than `reach` longest edges, on each axis. False where it is infinitely far.
+    #[inline(always)]
+    fn is_near(&self, point: Vec3, reach: f32) -> bool {
+        let margin = reach * self.bounds.extent().max_element();
+        let gap = (self.bounds.min - point).max(point - self.bounds.max).max_element();
+        gap < margin
+    }
+}
+
 impl Question<'_> {
     /// What is taken for true of a box, which the ray's line may pass by.
     #[inline(always)]
     fn ask(&self, asked: &AskedBox<'_>, ray: &Ray, plan: &Plan, sink: &mut impl Sink, gates: &mut GateCounters) -> Way {
-        let starts_inside = asked.grid.holds(ray.origin);
+        let is_near = |point| plan.origin_reach > 0.0 && asked.is_near(point, plan.origin_reach);
+        let end = ray.origin + ray.t_max * ray.direction;
+        let starts_inside = asked.grid.holds(ray.origin) || is_near(ray.origin) || is_near(end);
         if starts_inside {
             gates.starts_inside += 1;
             if plan.exact_origin {

@@ -5,22 +5,22 @@ use std::sync::atomic::AtomicBool;
 
 use glam::{Affine3A, Vec3};
 use lightshaft_engine::accel::line_space::{
-    BinaryBuilder, CandidateRules, CastPattern, CellSpaceParams, CellSpaces, ClassLayout, LineSpaceParams, Payload,
+    BinaryBuilder, CastPattern, CellSpaceParams, CellSpaces, ClassLayout, LineSpaceParams, Payload,
 };
 use lightshaft_engine::accel::{
-    AdaptiveRules, Approximation, BouncePolicy, BuildError, CellTree, NTreeParams, Names, Placement, Purpose,
-    SceneAccel, Structure, StructureParams, flatten,
+    Approximation, BouncePolicy, BuildError, CellTree, NTreeParams, Names, Placement, SceneAccel, Structure,
+    StructureParams, flatten,
 };
 use lightshaft_engine::scene::Mesh;
 use lightshaft_engine::trace::{Counters, Ray};
 
 use crate::common::{AcceptAll, Random, ball, closest, occluded, place, random_ray, soup, spheres};
+use crate::judge::{self, SHADOW, Wrong, rules};
 
 const BUDGET: u64 = 1 << 30;
 const MASKS: Payload = Payload::Binary { builder: BinaryBuilder::Masking };
 const CAST: Payload = Payload::Binary { builder: BinaryBuilder::Casting(CastPattern::Nine) };
 const CANDIDATES: Payload = Payload::Candidates { pattern: CastPattern::Nine };
-const SHADOW: Purpose = Purpose { bounce: 0, light: 1.0, is_ambient: false };
 
 /// A mesh as one N-tree.
 struct Flat {
@@ -65,29 +65,15 @@ impl Flat {
     }
 }
 
-fn rules(policy: BouncePolicy) -> Approximation {
-    Approximation {
-        bounces: vec![policy],
-        exact_origin: true,
-        adaptive: AdaptiveRules::default(),
-        candidates: CandidateRules::default(),
-    }
-}
-
-/// Shares of the occlusion rays that are let through, and that are blocked without reason.
-fn wrong(flat: &Flat, scene: &SceneAccel) -> [f64; 2] {
+/// Of the occlusion rays.
+fn wrong(flat: &Flat, scene: &SceneAccel) -> Wrong {
     let (plain, rays) = (flat.plain(), flat.rays(10_000));
-    let mut counters = Counters::default();
-    let mut found = [0; 2];
+    let (wrong, counters) = judge::wrong(&plain, scene, &rays, SHADOW);
+    assert!(counters.gates.approximated > 1000, "{:?}", counters.gates);
     for ray in &rays {
-        let truth = occluded(&plain, ray);
-        let blocked = scene.blocked(ray, SHADOW, &AcceptAll, &mut counters);
-        found[0] += u32::from(truth && !blocked);
-        found[1] += u32::from(blocked && !truth);
         assert_eq!(closest(scene, ray), closest(&plain, ray), "what asks no policy is exact");
     }
-    assert!(counters.gates.approximated > 1000, "{:?}", counters.gates);
-    found.map(|count| f64::from(count) / rays.len() as f64)
+    wrong
 }
 
 #[test]
@@ -96,7 +82,7 @@ fn masks_let_nothing_through_and_smaller_nodes_are_nearer_the_truth() {
     let mut last = 1.0;
     for level in 1..=3 {
         let scene = flat.approximating(flat.spaces(4, MASKS, level), rules(BouncePolicy::Occlusion));
-        let [let_through, blocked] = wrong(&flat, &scene);
+        let Wrong { let_through, blocked } = wrong(&flat, &scene);
         assert!(let_through == 0.0 && blocked > 0.0 && blocked < 0.7 * last, "level {level}: {let_through} {blocked}");
         last = blocked;
     }
@@ -110,34 +96,18 @@ fn other_payloads_err_to_both_sides_and_a_skipped_origin_lets_more_through() {
         let rules = Approximation { exact_origin, ..rules(BouncePolicy::Occlusion) };
         wrong(&flat, &flat.approximating(flat.spaces(n, payload, 1), rules))
     };
-    let [_, masked] = of(4, MASKS, true);
+    let masked = of(4, MASKS, true).blocked;
     for payload in [CAST, CANDIDATES, Payload::Coverage { bits: 6, rays: 8 }] {
-        let [let_through, blocked] = of(4, payload, true);
+        let Wrong { let_through, blocked } = of(4, payload, true);
         assert!(let_through < 0.05 && blocked < masked, "{payload:?}: {let_through} {blocked}, masks {masked}");
     }
-    let [skipping, _] = of(4, MASKS, false);
+    let skipping = of(4, MASKS, false).let_through;
     assert!(skipping > 0.01, "what is near casts no shadow: {skipping}");
 }
 
-/// Share of rays that hit something in one scene alone, and the mean error of the distance of the others.
 fn candidate_errors(flat: &Flat, level: u32) -> [f64; 2] {
     let scene = flat.approximating(flat.spaces(4, CANDIDATES, level), rules(BouncePolicy::Representative));
-    let (plain, rays) = (flat.plain(), flat.rays(10_000));
-    let (mut missed, mut hits, mut error) = (0, 0, 0.0);
-    for ray in &rays {
-        let truth = closest(&plain, ray);
-        assert_eq!(scene.nearest(ray, 0, &AcceptAll, &mut Counters::default()), truth, "the camera's are exact");
-        match (truth, scene.nearest(ray, 1, &AcceptAll, &mut Counters::default())) {
-            (Some(truth), Some(found)) => {
-                hits += 1;
-                error += f64::from(ray.direction.length() * (truth.t - found.t).abs());
-            }
-            (None, None) => {}
-            _ => missed += 1,
-        }
-    }
-    assert!(hits > 1000);
-    [f64::from(missed) / rays.len() as f64, error / f64::from(hits)]
+    judge::candidate_errors(&flat.plain(), &scene, &flat.rays(10_000))
 }
 
 #[test]
@@ -146,6 +116,33 @@ fn candidates_come_nearer_in_smaller_nodes() {
     let [coarse, fine] = [1, 2].map(|level| candidate_errors(&flat, level));
     assert!(fine[0] < coarse[0] && coarse[0] < 0.15, "{coarse:?} {fine:?}");
     assert!(fine[1] < coarse[1] && coarse[1] < 0.1, "{coarse:?} {fine:?}");
+}
+
+#[test]
+fn nodes_near_a_rays_start_count_as_its_own() {
+    // Rays that leave a smooth surface, as shadow rays do: where they enter the next node, its surface is still near.
+    let flat = Flat::new(ball(40, Vec3::ZERO, 1.0), 4, 3, false);
+    let mut random = Random(52);
+    let rays: Vec<Ray> = std::iter::repeat_with(|| {
+        let mut surface = Ray::new(3.0 * random.direction(), Vec3::ZERO);
+        surface.direction = -surface.origin;
+        let at = closest(&flat.plain(), &surface).map(|hit| surface.origin + 0.999 * hit.t * surface.direction)?;
+        let away = random.direction();
+        Some(Ray::new(at, if away.dot(at) < 0.0 { -away } else { away }))
+    })
+    .flatten()
+    .take(10_000)
+    .collect();
+    let of = |origin_reach, exact_origin| {
+        let rules = Approximation { exact_origin, origin_reach, ..rules(BouncePolicy::Occlusion) };
+        let scene = flat.approximating(flat.spaces(4, MASKS, 2), rules);
+        judge::wrong(&flat.plain(), &scene, &rays, SHADOW).0
+    };
+    let [none, half, one] = [0.0, 0.5, 1.0].map(|reach| of(reach, true));
+    assert!(none.let_through == 0.0 && half.let_through == 0.0 && one.let_through == 0.0);
+    assert!(half.blocked < 0.6 * none.blocked && one.blocked < 0.5 * half.blocked, "{none:?} {half:?} {one:?}");
+    assert!(of(1.0, false).let_through > of(0.0, false).let_through, "more is skipped");
+    assert_eq!(of(1e6, true).total(), 0.0, "nothing is far enough");
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod cells;
 mod classes;
 #[path = "../common/mod.rs"]
 mod common;
+mod judge;
 mod meshes;
 mod nodes;
 mod payloads;

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use glam::{Affine3A, Quat, Vec3};
 use lightshaft_engine::accel::line_space::{
-    BinaryBuilder, CandidateRules, CastPattern, ClassLayout, LineSpaceParams, NodeSpaceParams, NodeSpaces, Payload,
+    BinaryBuilder, CastPattern, ClassLayout, LineSpaceParams, NodeSpaceParams, NodeSpaces, Payload,
 };
 use lightshaft_engine::accel::{
     AdaptiveRules, Approximation, BouncePolicy, BuildError, BuildParams, MeshStructure, Placement, Purpose, SceneAccel,
@@ -15,12 +15,12 @@ use lightshaft_engine::scene::Mesh;
 use lightshaft_engine::trace::{Counters, Ray};
 
 use crate::common::{AcceptAll, Random, ball, build, closest, mesh, occluded, place, random_ray, soup};
+use crate::judge::{self, SHADOW, rules};
 use crate::meshes;
 
 const BUDGET: u64 = 1 << 30;
 const MASKS: Payload = Payload::Binary { builder: BinaryBuilder::Masking };
 const CANDIDATES: Payload = Payload::Candidates { pattern: CastPattern::Nine };
-const FAR: Purpose = Purpose { bounce: 0, light: 1.0, is_ambient: false };
 
 fn params(n: u32, payload: Payload, depth: u32) -> NodeSpaceParams {
     NodeSpaceParams { each: LineSpaceParams { n, payload }, depth }
@@ -28,15 +28,6 @@ fn params(n: u32, payload: Payload, depth: u32) -> NodeSpaceParams {
 
 fn spaces(mesh: &Mesh, structure: &MeshStructure, params: &NodeSpaceParams) -> NodeSpaces {
     NodeSpaces::build(mesh, structure, params, BUDGET, &AtomicBool::new(false)).expect("builds")
-}
-
-fn rules(policy: BouncePolicy) -> Approximation {
-    Approximation {
-        bounces: vec![policy],
-        exact_origin: true,
-        adaptive: AdaptiveRules::default(),
-        candidates: CandidateRules::default(),
-    }
 }
 
 /// Some instances of a mesh, turned, mirrored and stretched; plain and approximated.
@@ -71,14 +62,9 @@ fn rays(scene: &SceneAccel, count: usize, seed: u64) -> Vec<Ray> {
 
 /// Share of rays that are taken wrongly; none may be let through where `conservative`.
 fn wrong(scenes: &(SceneAccel, SceneAccel), purpose: Purpose, conservative: bool) -> f64 {
-    let rays = rays(&scenes.0, 20_000, 5);
-    let is_wrong = |ray: &&Ray| {
-        let truth = occluded(&scenes.0, ray);
-        let blocked = scenes.1.blocked(ray, purpose, &AcceptAll, &mut Counters::default());
-        assert!(blocked || !truth || !conservative, "{ray:?} is let through");
-        blocked != truth
-    };
-    rays.iter().filter(is_wrong).count() as f64 / rays.len() as f64
+    let (wrong, _) = judge::wrong(&scenes.0, &scenes.1, &rays(&scenes.0, 20_000, 5), purpose);
+    assert!(wrong.let_through == 0.0 || !conservative, "{wrong:?}");
+    wrong.total()
 }
 
 #[test]
@@ -101,7 +87,7 @@ fn occlusion_by_masks_lets_nothing_through_and_deeper_boxes_are_nearer_the_truth
     let mut last = 1.0;
     for depth in [0, 3, 6] {
         let scenes = scenes(&mesh, &params(4, MASKS, depth), rules(BouncePolicy::Occlusion));
-        let wrong = wrong(&scenes, FAR, true);
+        let wrong = wrong(&scenes, SHADOW, true);
         assert!(wrong > 0.0 && wrong < 0.8 * last, "depth {depth}: {wrong} after {last}");
         last = wrong;
     }
@@ -116,17 +102,17 @@ fn delta_zero_is_exact_and_more_delta_costs_truth() {
     };
     for exact_origin in [true, false] {
         let exact = of(0.0, exact_origin);
-        assert_eq!(wrong(&exact, FAR, true), 0.0);
+        assert_eq!(wrong(&exact, SHADOW, true), 0.0);
         for ray in rays(&exact.0, 5000, 6) {
             let hit = exact.1.nearest(&ray, 3, &AcceptAll, &mut Counters::default());
             assert_eq!(hit, closest(&exact.0, &ray), "nearest hits stay exact");
         }
     }
     let scenes = of(4.0, true);
-    let some = wrong(&scenes, FAR, false);
-    let more = wrong(&of(1000.0, true), FAR, false);
+    let some = wrong(&scenes, SHADOW, false);
+    let more = wrong(&of(1000.0, true), SHADOW, false);
     assert!(0.0 < some && some < more && more < 0.3, "{some} {more}");
-    assert_eq!(wrong(&scenes, Purpose { light: 0.0, ..FAR }, true), 0.0, "a point light's shadows are hard");
+    assert_eq!(wrong(&scenes, Purpose { light: 0.0, ..SHADOW }, true), 0.0, "a point light's shadows are hard");
 }
 
 #[test]
@@ -134,32 +120,14 @@ fn policies_are_of_their_bounce_and_the_last_repeats() {
     let mesh = ball(24, Vec3::ZERO, 1.0);
     let bounces = vec![BouncePolicy::Exact, BouncePolicy::Occlusion];
     let scenes = scenes(&mesh, &params(2, MASKS, 0), Approximation { bounces, ..rules(BouncePolicy::Exact) });
-    assert_eq!(wrong(&scenes, FAR, true), 0.0);
-    let first = wrong(&scenes, Purpose { bounce: 1, ..FAR }, true);
+    assert_eq!(wrong(&scenes, SHADOW, true), 0.0);
+    let first = wrong(&scenes, Purpose { bounce: 1, ..SHADOW }, true);
     assert!(first > 0.05);
-    assert_eq!(wrong(&scenes, Purpose { bounce: 9, ..FAR }, true), first);
+    assert_eq!(wrong(&scenes, Purpose { bounce: 9, ..SHADOW }, true), first);
 }
 
-/// Share of rays whose hit on candidates is none where there is one or the reverse, and the mean error of the distance, in
-/// units of the ball's radius.
 fn candidate_errors(scenes: &(SceneAccel, SceneAccel)) -> [f64; 2] {
-    let (mut missed, mut hits, mut error) = (0, 0, 0.0);
-    let rays = rays(&scenes.0, 10_000, 7);
-    for ray in &rays {
-        let truth = closest(&scenes.0, ray);
-        let found = scenes.1.nearest(ray, 1, &AcceptAll, &mut Counters::default());
-        assert_eq!(scenes.1.nearest(ray, 0, &AcceptAll, &mut Counters::default()), truth, "the camera's are exact");
-        match (truth, found) {
-            (Some(truth), Some(found)) => {
-                hits += 1;
-                error += f64::from(ray.direction.length() * (truth.t - found.t).abs());
-            }
-            (None, None) => {}
-            _ => missed += 1,
-        }
-    }
-    assert!(hits > 1000);
-    [f64::from(missed) / rays.len() as f64, error / f64::from(hits)]
+    judge::candidate_errors(&scenes.0, &scenes.1, &rays(&scenes.0, 10_000, 7))
 }
 
 #[test]
@@ -209,7 +177,7 @@ fn flat_scenes_are_asked_alike() {
             let ray = random_ray(&mut random, &flat.bounds);
             let truth = occluded(&plain, &ray);
             let blocked = match policy {
-                BouncePolicy::Occlusion => scene.blocked(&ray, FAR, &AcceptAll, &mut counters),
+                BouncePolicy::Occlusion => scene.blocked(&ray, SHADOW, &AcceptAll, &mut counters),
                 _ => scene.nearest(&ray, 1, &AcceptAll, &mut counters).is_some(),
             };
             wrong += u32::from(blocked != truth);

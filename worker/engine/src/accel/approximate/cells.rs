@@ -1,7 +1,5 @@
 //! The approximate policies in a flat scene's N-tree: nodes of one level answer (Keul 2020, chapters 5 and 6).
 
-use glam::Vec3;
-
 use super::{AskedBox, BouncePolicy, Plan, Question};
 use crate::accel::CellTree;
 use crate::accel::line_space::{CellSpaces, GateCounters};
@@ -10,12 +8,11 @@ use crate::trace::{Counters, Hit, Kernels, NodeSink, ObjectRay, Ray, Sink, Way};
 impl Question<'_> {
     /// How a ray goes on in the one object of a flat scene; none for one that is traced exactly.
     fn flat_plan(&self) -> Option<Plan> {
-        let exact_origin = match self.policy {
-            BouncePolicy::Exact | BouncePolicy::Adaptive => return None,
-            BouncePolicy::Occlusion => self.asked.rules.exact_origin,
-            BouncePolicy::Representative => self.asked.rules.candidates.exact_origin,
-        };
-        Some(Plan { depth: 0, exact_origin, shift: Vec3::ZERO })
+        match self.policy {
+            BouncePolicy::Exact | BouncePolicy::Adaptive => None,
+            BouncePolicy::Occlusion => Some(self.asked.rules.plan_of_occlusion(0)),
+            BouncePolicy::Representative => Some(Plan::at(0, self.asked.rules.candidates.exact_origin)),
+        }
     }
 }
 
