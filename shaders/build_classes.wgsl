@@ -31,7 +31,8 @@ struct ClassJob {
 @group(2) @binding(2) var<storage, read_write> points: array<vec4<f32>>;
 // The numbers of a shaft's patches, 16 bits each; then its class.
 @group(2) @binding(3) var<storage, read_write> shafts: array<u32>;
-// Sums over the voxels before each lattice point: of those with surface, and of those with rim.
+// Sums over the voxels before each lattice point: of those with surface, and of those with rim. Two arrays, for 256 voxels along an
+// axis fill half of what a binding may hold (WebGPU's 128 MiB).
 @group(2) @binding(4) var<storage, read_write> surface: array<u32>;
 @group(2) @binding(5) var<storage, read_write> rim: array<u32>;
 
@@ -99,34 +100,34 @@ fn place_of(x: u32, y: u32, z: u32) -> u32 {
     return (z * row + y) * row + x;
 }
 
-// Whether the slabs from `first` to `end` hold surface.
-fn holds_surface(first: u32, end: u32) -> bool {
+fn sum_at(of_rim: bool, place: u32) -> u32 {
+    if of_rim {
+        return rim[place];
+    }
+    return surface[place];
+}
+
+// Whether the slabs from `first` to `end` hold surface, or rim.
+fn holds(of_rim: bool, first: u32, end: u32) -> bool {
     let cells = voxels_of(first, end);
     if !cells.is_any {
         return false;
     }
     let least = cells.least;
     let to = cells.to;
-    let behind = surface[place_of(to.x, to.y, to.z)] - surface[place_of(least.x, to.y, to.z)]
-        - surface[place_of(to.x, least.y, to.z)] + surface[place_of(least.x, least.y, to.z)];
-    let before = surface[place_of(to.x, to.y, least.z)] - surface[place_of(least.x, to.y, least.z)]
-        - surface[place_of(to.x, least.y, least.z)] + surface[place_of(least.x, least.y, least.z)];
+    let behind = sum_at(of_rim, place_of(to.x, to.y, to.z)) - sum_at(of_rim, place_of(least.x, to.y, to.z))
+        - sum_at(of_rim, place_of(to.x, least.y, to.z)) + sum_at(of_rim, place_of(least.x, least.y, to.z));
+    let before = sum_at(of_rim, place_of(to.x, to.y, least.z)) - sum_at(of_rim, place_of(least.x, to.y, least.z))
+        - sum_at(of_rim, place_of(to.x, least.y, least.z)) + sum_at(of_rim, place_of(least.x, least.y, least.z));
     return behind != before;
 }
 
-// The same of rim.
+fn holds_surface(first: u32, end: u32) -> bool {
+    return holds(false, first, end);
+}
+
 fn holds_rim(first: u32, end: u32) -> bool {
-    let cells = voxels_of(first, end);
-    if !cells.is_any {
-        return false;
-    }
-    let least = cells.least;
-    let to = cells.to;
-    let behind = rim[place_of(to.x, to.y, to.z)] - rim[place_of(least.x, to.y, to.z)]
-        - rim[place_of(to.x, least.y, to.z)] + rim[place_of(least.x, least.y, to.z)];
-    let before = rim[place_of(to.x, to.y, least.z)] - rim[place_of(least.x, to.y, least.z)]
-        - rim[place_of(to.x, least.y, least.z)] + rim[place_of(least.x, least.y, least.z)];
-    return behind != before;
+    return holds(true, first, end);
 }
 
 // Whether a slab holds surface. What many slabs together do not hold, none does: free runs are left out at once.

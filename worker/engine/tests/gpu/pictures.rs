@@ -2,16 +2,18 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use lightshaft_engine::accel::line_space::{Class, ClassLayout, LineSpaceParams, Payload};
 use lightshaft_engine::device::cpu::CpuDevice;
-use lightshaft_engine::device::gpu::{Context, GpuDevice};
+use lightshaft_engine::device::gpu::{Context, GpuDevice, LineSpaceBuilder};
 use lightshaft_engine::device::{Device, DeviceError, Pass, PassStats, Region};
 use lightshaft_engine::film::{AovBuffers, AovLayer, PassFilm};
 use lightshaft_engine::pack::PackedScene;
-use lightshaft_engine::scene::Scene;
+use lightshaft_engine::scene::{AlphaMode, Scene};
 use lightshaft_engine::settings::{Aov, Integrator, RenderSettings};
 
-use crate::scenes::{everything, many_bytes, opaque, packed, settings, sky};
+use crate::scenes::{everything, many_bytes, opaque, packed, packed_with, settings, sky};
 use crate::{context, context_within};
 
 fn render(device: &mut dyn Device, scene: &Scene, settings: &RenderSettings) -> (Vec<[f32; 3]>, PassStats) {
@@ -216,4 +218,32 @@ fn pictures_do_not_depend_on_how_passes_are_cut() {
         region.pixels(),
         differing[0]
     );
+}
+
+/// The ball is cut out, or lets light through. Its shafts are OPAQUE all the same, for the device that builds them knows no materials:
+/// whoever asks them must not believe it.
+#[test]
+fn what_lets_light_through_is_never_opaque_by_classes_that_the_device_built() {
+    let (builder, never) = (LineSpaceBuilder::new(context()), AtomicBool::new(false));
+    let params = LineSpaceParams { n: 8, payload: Payload::Classes { layout: ClassLayout::Tree, resolution: 64 } };
+    let settings = RenderSettings { spp: 4, ..settings(Integrator::Direct) };
+    for (alpha_mode, alpha) in [(AlphaMode::Mask, 0.0), (AlphaMode::Blend, 0.4), (AlphaMode::Opaque, 1.0)] {
+        let mut scene = everything();
+        let ball = scene.instances.iter().find(|instance| instance.mesh == 1).expect("a ball").materials[0];
+        let material = &mut scene.materials[ball as usize];
+        (material.alpha_mode, material.base_color[3]) = (alpha_mode, alpha);
+        let asking = packed_with(&scene, &settings, |mesh, structure| {
+            let built = builder.build(mesh, structure, &params, u64::MAX, &never).expect("builds");
+            assert!(built.on_gpu || mesh.triangles.is_empty(), "{:?}", built.warning);
+            Some(Arc::new(built.space))
+        });
+        let plain = packed(&scene, &settings);
+        let mut gpu = GpuDevice::with_context(context());
+        for device in [&mut CpuDevice::new() as &mut dyn Device, &mut gpu] {
+            let (expected, _) = render_packed(device, plain.clone(), &settings);
+            let (picture, stats) = render_packed(device, asking.clone(), &settings);
+            assert!(picture == expected, "{alpha_mode:?}");
+            assert!(stats.counters.gates.of_class(Class::Opaque) > 100, "{alpha_mode:?}: {:?}", stats.counters.gates);
+        }
+    }
 }

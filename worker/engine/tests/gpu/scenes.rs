@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use glam::{Affine3A, Quat, Vec3};
+use lightshaft_engine::accel::line_space::LineSpace;
 use lightshaft_engine::accel::{BuildParams, MeshStructure, Quality, SceneAccel};
 use lightshaft_engine::pack::{PackedScene, pack, placements, with_overlays};
 use lightshaft_engine::scene::{
@@ -204,10 +205,21 @@ pub(crate) fn settings(integrator: Integrator) -> RenderSettings {
 }
 
 pub(crate) fn packed(scene: &Scene, settings: &RenderSettings) -> Arc<PackedScene> {
+    packed_with(scene, settings, |_, _| None)
+}
+
+/// With the Line Spaces that `space` makes of the meshes.
+pub(crate) fn packed_with(
+    scene: &Scene,
+    settings: &RenderSettings,
+    space: impl Fn(&Mesh, &Arc<MeshStructure>) -> Option<Arc<LineSpace>>,
+) -> Arc<PackedScene> {
     let scene = with_overlays(scene, settings);
     let params = BuildParams { quality: Quality::Medium, spatial_splits: false };
     let build =
         |mesh: &Arc<Mesh>| Arc::new(MeshStructure::build(mesh, &params, &AtomicBool::new(false)).expect("builds"));
-    let accel = SceneAccel::build(scene.meshes.iter().map(build).collect(), &placements(&scene));
+    let structures: Vec<_> = scene.meshes.iter().map(build).collect();
+    let spaces = scene.meshes.iter().zip(&structures).map(|(mesh, structure)| space(mesh, structure)).collect();
+    let accel = SceneAccel::build(structures, &placements(&scene)).with_line_spaces(spaces).expect("one each");
     Arc::new(pack(&scene, settings, Arc::new(accel)).expect("packs"))
 }
