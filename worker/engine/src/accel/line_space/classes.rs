@@ -6,7 +6,7 @@
 //! on. It grows with the silhouettes of a mesh instead of N^4.
 
 use super::Patch;
-use super::blocks::PackedBlocks;
+use super::blocks::{Around, PackedBlocks};
 use super::shaft::symmetric_index;
 
 /// What holds for every line of a shaft. All that concerns lines holds for both directions.
@@ -90,8 +90,12 @@ impl ClassTable {
     }
 }
 
-/// Words of a level of which one prefix knows the rank, in front of them: 16 bytes, loaded at once.
-const GROUP: usize = 3;
+/// Words of a level of which one prefix knows the rank, in front of them: 64 bytes, a cache line.
+const GROUP: usize = 15;
+/// Of these the prefix knows the splits apart, in its low byte: what is counted on a look-up is never more than half of a group.
+const HALF_GROUP: usize = 8;
+/// The same for shaders, which load 16 bytes at once.
+const QUAD: usize = 3;
 
 /// Classes of shafts in levels of doubling N.
 ///
@@ -101,7 +105,8 @@ const GROUP: usize = 3;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClassTree {
     root_n: u32,
-    /// Split codes in front of the group, then [`GROUP`] blocks.
+    /// Split codes in front of the group (24 bits, for there are at most 15 * 16^4 of them) and in its first half (8 bits), then
+    /// [`GROUP`] blocks.
     inner: Vec<Vec<[u32; 1 + GROUP]>>,
     /// The finest level has no splits, and most of the blocks.
     last: PackedBlocks,
@@ -124,8 +129,9 @@ impl ClassTree {
         if expected != 0 {
             return Err("the finest level of the classes is split".into());
         }
-        let inner = levels.into_iter().map(|blocks| grouped(&blocks)).collect();
-        Ok(Self { root_n, inner, last: PackedBlocks::new(&last) })
+        let around = levels.last().map_or(vec![Around::default(); last.len()], |parents| around_each(parents));
+        let inner = levels.iter().map(|blocks| grouped(blocks)).collect();
+        Ok(Self { root_n, inner, last: PackedBlocks::new(&last, &around) })
     }
 
     /// From the classes of all shafts of the coarsest level by their number, then level by level of the sixteen children of each
@@ -174,18 +180,31 @@ impl ClassTree {
             counts.push(blocks.iter().map(|&block| splits(block).count_ones() as usize).sum());
             levels.push(blocks);
         }
-        levels.push(self.last());
+        let last = match levels.last() {
+            Some(parents) => self.last.unpacked(&around_each(parents)),
+            None => self.last.unpacked(&vec![Around::default(); counts[0]]),
+        };
+        levels.push(last);
         levels
     }
 
-    /// The levels that have splits, the coarsest first, as they are looked up: split codes in front of a group, its blocks.
-    pub(crate) fn inner(&self) -> &[Vec<[u32; 1 + GROUP]>] {
-        &self.inner
-    }
-
-    /// Blocks of the finest level.
-    pub(crate) fn last(&self) -> Vec<u32> {
-        self.last.unpacked()
+    /// For shaders, the coarsest level first: of the levels that have splits the split codes in front of [`QUAD`] blocks, then these;
+    /// and the blocks of the finest level.
+    pub(crate) fn quads(&self) -> (Vec<Vec<[u32; 1 + QUAD]>>, Vec<u32>) {
+        let mut levels = self.levels();
+        let last = levels.pop().unwrap_or_default();
+        let quads = |blocks: &Vec<u32>| {
+            let mut before = 0;
+            let quad = |chunk: &[u32]| {
+                let mut quad = [0; 1 + QUAD];
+                quad[0] = before;
+                quad[1..=chunk.len()].copy_from_slice(chunk);
+                before += split_count(chunk);
+                quad
+            };
+            blocks.chunks(QUAD).map(quad).collect()
+        };
+        (levels.iter().map(quads).collect(), last)
     }
 
     /// N of the finest level.
@@ -205,21 +224,24 @@ impl ClassTree {
         let mut shift = self.inner.len() as u32;
         let index = symmetric_index(self.root_n, a.coarser(shift), b.coarser(shift)) as usize;
         let (mut block, mut slot) = (index / CODES, index % CODES);
+        let mut parent = None;
         for level in &self.inner {
-            let group = &level[block / GROUP];
-            let word = group[1 + block % GROUP];
+            let (group, at) = (&level[block / GROUP], block % GROUP);
+            let word = group[1 + at];
             let code = word >> (2 * slot) & 3;
             if code != SPLIT {
                 return Class::from_code(code);
             }
-            let before = group[1..=block % GROUP].iter().map(|&word| splits(word).count_ones()).sum::<u32>();
+            let (known, from) = if at < HALF_GROUP { (0, 0) } else { (group[0] & 0xff, HALF_GROUP) };
+            let before = (group[0] >> 8) + known + split_count(&group[1 + from..=at]);
             let within = (splits(word) & ((1 << (2 * slot)) - 1)).count_ones();
-            block = (group[0] + before + within) as usize;
+            block = (before + within) as usize;
+            parent = Some(word);
             shift -= 1;
             let bit = |value: u32| (value >> shift & 1) as usize;
             slot = bit(a.v) << 3 | bit(a.u) << 2 | bit(b.v) << 1 | bit(b.u);
         }
-        self.last.class(block, slot)
+        self.last.class(block, slot, parent.map_or(Around::default(), Around::of))
     }
 
     pub fn bytes(&self) -> usize {
@@ -233,14 +255,24 @@ fn splits(word: u32) -> u32 {
     word & (word >> 1) & 0x5555_5555
 }
 
+fn split_count(blocks: &[u32]) -> u32 {
+    blocks.iter().map(|&block| splits(block).count_ones()).sum()
+}
+
 fn grouped(blocks: &[u32]) -> Vec<[u32; 1 + GROUP]> {
     let mut before = 0;
     let group = |chunk: &[u32]| {
         let mut group = [0; 1 + GROUP];
-        group[0] = before;
+        group[0] = before << 8 | split_count(&chunk[..chunk.len().min(HALF_GROUP)]);
         group[1..=chunk.len()].copy_from_slice(chunk);
-        before += chunk.iter().map(|&block| splits(block).count_ones()).sum::<u32>();
+        before += split_count(chunk);
         group
     };
     blocks.chunks(GROUP).map(group).collect()
+}
+
+/// What is around each block of the level below.
+fn around_each(parents: &[u32]) -> Vec<Around> {
+    let of = |&word: &u32| std::iter::repeat_n(Around::of(word), split_count(&[word]) as usize);
+    parents.iter().flat_map(of).collect()
 }

@@ -29,12 +29,13 @@ pub(super) fn record(space: &LineSpace) -> Option<Vec<[u32; 4]>> {
     let mut number = 0;
     let kind = match shafts {
         Shafts::Tree(tree) => {
-            number = tree.inner().len() as u32;
-            for level in tree.inner() {
+            let (inner, last) = tree.quads();
+            number = inner.len() as u32;
+            for level in &inner {
                 parts.push(record.len() as u32);
                 record.extend_from_slice(level);
             }
-            append(&mut record, &mut parts, &tree.last());
+            append(&mut record, &mut parts, &last);
             CLASS_TREE
         }
         Shafts::Table(table) => {
