@@ -23,7 +23,7 @@ DOCUMENT = HERE.parent / "openapi.json"
 TARGET = HERE / "src" / "lightshaft" / "models.py"
 
 #: What the client sends as a whole; with everything that these name.
-INPUTS = ["BenchmarkSettings", "BuildSettings", "RenderSettings"]
+INPUTS = ["BenchmarkSettings", "BuildSettings", "CompareRequest", "RenderSettings"]
 #: What the client reads; with everything that these name.
 OUTPUTS = [
     "Baseline",

@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Body of `POST /v1/compare`.
+use crate::problem::FieldError;
+
+/// Body of `POST /v1/compare`, and settings of a job of kind `compare`.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CompareRequest {
@@ -26,6 +28,38 @@ pub struct CompareRequest {
     pub max_hdr_flip: Option<f64>,
 }
 
+impl CompareRequest {
+    /// Every number that is out of range; the pictures are looked up by the service.
+    pub fn validate(&self, prefix: &str) -> Vec<FieldError> {
+        let not_negative = "must be a number of at least 0";
+        let limit = |limit: Option<f64>| limit.is_none_or(|limit| limit.is_finite() && limit >= 0.0);
+        let checks = [
+            (is_exposure(self.exposure), "exposure", "must be -32 to 32 stops"),
+            (self.tolerance.is_finite() && self.tolerance >= 0.0, "tolerance", not_negative),
+            (limit(self.max_rmse), "max_rmse", not_negative),
+            (limit(self.max_flip), "max_flip", not_negative),
+            (limit(self.max_hdr_flip), "max_hdr_flip", not_negative),
+        ];
+        let wrong = checks.into_iter().filter(|check| !check.0);
+        wrong.map(|(_, field, detail)| FieldError::new(format!("{prefix}/{field}"), detail)).collect()
+    }
+
+    /// Both pictures in words.
+    pub fn describe(&self) -> String {
+        format!("{} with {}", self.b.describe(), self.a.describe())
+    }
+
+    /// Whether HDR-FLIP is wanted, said so or limited.
+    pub fn wants_hdr(&self) -> bool {
+        self.hdr || self.max_hdr_flip.is_some()
+    }
+}
+
+/// Whether an exposure is one that pictures are shown with.
+pub fn is_exposure(stops: f32) -> bool {
+    (-32.0..=32.0).contains(&stops)
+}
+
 /// A picture: the artifact of a job, a blob, or (neither) the uploaded part of this name.
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -33,10 +67,23 @@ pub struct PictureChoice {
     pub job: Option<String>,
     /// Name of the job's artifact; `image.exr` by default, or `image.png` when there is none.
     pub artifact: Option<String>,
-    /// Hash of a blob, as answers name pictures.
+    /// Hash of a blob, as answers name pictures; beside a job, that of its artifact.
     pub blob: Option<String>,
     /// `color` by default. `GET /v1/jobs/{id}/artifacts/{name}/layers` lists what there is.
     pub layer: Option<String>,
+}
+
+impl PictureChoice {
+    /// In words: the job and its artifact, or the beginning of the blob's hash; and the layer where it is not the colour.
+    pub fn describe(&self) -> String {
+        let picture = match (&self.job, &self.artifact, &self.blob) {
+            (Some(job), Some(artifact), _) => format!("{artifact} of job {job}"),
+            (Some(job), None, _) => format!("job {job}"),
+            (None, _, Some(blob)) => format!("blob {}", blob.chars().take(12).collect::<String>()),
+            (None, _, None) => "a picture".to_owned(),
+        };
+        self.layer.as_ref().map_or_else(|| picture.clone(), |layer| format!("{layer} of {picture}"))
+    }
 }
 
 /// How far two pictures are apart. The figures are also what `lightshaft compare --json` prints.
@@ -53,6 +100,15 @@ pub struct Compared {
     pub difference: String,
     /// Address of the page that shows both.
     pub page: String,
+}
+
+/// `comparison.json` of a job of kind `compare`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Comparison {
+    pub a: ComparedPicture,
+    pub b: ComparedPicture,
+    #[serde(flatten)]
+    pub report: CompareReport,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -25,16 +25,21 @@ pub enum JobKind {
     Benchmark,
     /// Makes structures for later jobs.
     Build,
+    /// Compares two pictures, as `POST /v1/compare` does at once.
+    Compare,
 }
 
 impl JobKind {
-    pub const ALL: [Self; 3] = [Self::Render, Self::Benchmark, Self::Build];
+    pub const ALL: [Self; 4] = [Self::Render, Self::Benchmark, Self::Build, Self::Compare];
+    /// As messages list them.
+    pub const NAMES: &[&str] = &["render", "benchmark", "build", "compare"];
 
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Render => "render",
             Self::Benchmark => "benchmark",
             Self::Build => "build",
+            Self::Compare => "compare",
         }
     }
 
@@ -46,13 +51,7 @@ impl JobKind {
 impl<'de> Deserialize<'de> for JobKind {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let name = String::deserialize(deserializer)?;
-        match Self::from_name(&name) {
-            Some(kind) => Ok(kind),
-            None if name == "compare" => Err(D::Error::custom(
-                "comparing pictures is no job: POST /v1/compare answers at once. Jobs are `render`, `benchmark` and `build`",
-            )),
-            None => Err(D::Error::unknown_variant(&name, &["render", "benchmark", "build"])),
-        }
+        Self::from_name(&name).ok_or_else(|| D::Error::unknown_variant(&name, Self::NAMES))
     }
 }
 
@@ -61,7 +60,8 @@ impl<'de> Deserialize<'de> for JobKind {
 pub struct NewJob {
     /// `render` when left out.
     pub kind: JobKind,
-    /// Scene id.
+    /// Scene id. Of `compare` it may be left out where a picture is a job's: then it is that job's scene.
+    #[schema(required = false)]
     pub scene: String,
     /// Higher runs first; -100 to 100.
     #[schema(required = false)]
@@ -118,6 +118,8 @@ impl<'de> Visitor<'de> for NewJobVisitor {
         if settings.kind() != kind {
             return Err(A::Error::custom("the kind must stand before the settings"));
         }
+        let has_scene_of_picture = kind == JobKind::Compare;
+        let scene = scene.or_else(|| has_scene_of_picture.then(String::new));
         Ok(NewJob {
             kind,
             scene: scene.ok_or_else(|| A::Error::missing_field("scene"))?,

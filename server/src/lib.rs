@@ -15,7 +15,6 @@ pub mod error;
 pub mod farm;
 mod lock;
 mod messenger;
-pub mod picture;
 pub mod problems;
 pub mod queue;
 pub mod reconcile;

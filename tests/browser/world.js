@@ -34,6 +34,8 @@ export async function populate(service) {
   };
   const done = await service.succeeded(jobs.done);
   for (const id of [jobs.layers, jobs.build, jobs.benchmark]) await service.succeeded(id);
+  jobs.compare = await service.submit(scene, { a: { job: jobs.done }, b: { job: jobs.layers }, max_flip: 0.001 }, 'compare');
+  await service.succeeded(jobs.compare);
 
   const suite = await addSuite(service);
   const accepted = await service.check(suite, 'base', { demo });
@@ -63,6 +65,7 @@ export function pagesOf({ scene, mesh, jobs, runs, webhook }) {
     'job-cancelled': `/jobs/${jobs.cancelled}`,
     'job-benchmark': `/jobs/${jobs.benchmark}`,
     'job-build': `/jobs/${jobs.build}`,
+    'job-compare': `/jobs/${jobs.compare}`,
     'compare-choose': '/compare',
     'compare-one': `/compare?p=${jobs.done}`,
     'compare-side': `/compare?p=${jobs.done}&p=${jobs.layers}&px=9,9`,

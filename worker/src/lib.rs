@@ -10,5 +10,6 @@ pub mod cache;
 pub mod driver;
 pub mod estimate;
 pub mod executor;
+pub mod picture;
 pub mod protocol;
 pub mod settings;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from lightshaft import (
     Acceleration,
     BuildSettings,
     Client,
+    CompareRequest,
     ConflictError,
     InvalidRequestError,
     JobFailedError,
     NotFoundError,
+    PictureChoice,
     ProblemError,
     Progress,
     RenderSettings,
@@ -81,6 +84,18 @@ def test_the_kind_is_that_of_the_settings(client: Client, scene: Scene) -> None:
     mesh = client.mesh(scene.meshes[0].hash)
     assert mesh.structures
     assert mesh.triangles == scene.meshes[0].triangles
+
+
+def test_pictures_are_compared_by_a_job(client: Client, scene: Scene) -> None:
+    small = {"width": 24, "height": 16, "spp": 1}
+    a, b = (client.wait(client.submit(scene, small | {"seed": seed}), timeout_s=60) for seed in (1, 2))
+    request = CompareRequest(a=PictureChoice(job=a.id), b=PictureChoice(job=b.id), max_flip=1.0)
+    job = client.wait(client.submit(None, request), timeout_s=60)
+    assert (job.kind, job.scene) == ("compare", scene.id)
+    found = json.loads(client.artifact(job, "comparison.json"))
+    assert found["passed"] is True
+    assert found["differing_pixels"] > 0
+    assert client.artifact(job, "heatmap.png").startswith(b"\x89PNG")
 
 
 def test_a_wrong_setting_is_named(client: Client, scene: Scene) -> None:

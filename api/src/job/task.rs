@@ -46,6 +46,8 @@ pub enum TaskWork {
     Benchmark,
     /// All structures of a scene.
     Build,
+    /// Two pictures.
+    Compare,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -5,17 +5,20 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
-use super::{Acceleration, BenchmarkSettings, DeviceChoice, RenderSettings, validate_acceleration};
+use super::{Acceleration, BenchmarkSettings, DeviceChoice, Environment, RenderSettings, validate_acceleration};
+use crate::compare::CompareRequest;
 use crate::job::JobKind;
 use crate::problem::FieldError;
 
-/// Settings of a render, a benchmark or a build, as the job's `kind` says.
+/// Settings of a render, a benchmark, a build or a comparison, as the job's `kind` says.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[serde(untagged)]
 pub enum JobSettings {
     Render(Box<RenderSettings>),
     Benchmark(Box<BenchmarkSettings>),
     Build(Box<BuildSettings>),
+    /// Pictures are artifacts of jobs or blobs. The service fills in each picture's `blob`.
+    Compare(Box<CompareRequest>),
 }
 
 /// Makes the structures of a scene's meshes, so that later jobs find them ready.
@@ -43,6 +46,7 @@ impl JobSettings {
             Self::Render(_) => JobKind::Render,
             Self::Benchmark(_) => JobKind::Benchmark,
             Self::Build(_) => JobKind::Build,
+            Self::Compare(_) => JobKind::Compare,
         }
     }
 
@@ -52,6 +56,7 @@ impl JobSettings {
             JobKind::Render => Self::default(),
             JobKind::Benchmark => Self::Benchmark(Box::default()),
             JobKind::Build => Self::Build(Box::default()),
+            JobKind::Compare => Self::Compare(Box::default()),
         }
     }
 
@@ -64,6 +69,7 @@ impl JobSettings {
             JobKind::Render => Self::Render(Deserialize::deserialize(deserializer)?),
             JobKind::Benchmark => Self::Benchmark(Deserialize::deserialize(deserializer)?),
             JobKind::Build => Self::Build(Deserialize::deserialize(deserializer)?),
+            JobKind::Compare => Self::Compare(Deserialize::deserialize(deserializer)?),
         })
     }
 
@@ -73,6 +79,7 @@ impl JobSettings {
             Self::Render(settings) => settings.validate(prefix),
             Self::Benchmark(settings) => settings.validate(prefix),
             Self::Build(settings) => validate_acceleration(&settings.acceleration, DeviceChoice::Auto, prefix),
+            Self::Compare(request) => request.validate(prefix),
         }
     }
 
@@ -81,7 +88,7 @@ impl JobSettings {
         match self {
             Self::Render(settings) => settings.device,
             Self::Benchmark(settings) => settings.device,
-            Self::Build(_) => DeviceChoice::Auto,
+            Self::Build(_) | Self::Compare(_) => DeviceChoice::Auto,
         }
     }
 
@@ -90,7 +97,7 @@ impl JobSettings {
         match self {
             Self::Render(settings) => settings.adapter.as_deref(),
             Self::Benchmark(settings) => settings.adapter.as_deref(),
-            Self::Build(_) => None,
+            Self::Build(_) | Self::Compare(_) => None,
         }
     }
 
@@ -98,7 +105,21 @@ impl JobSettings {
     pub fn further_scenes(&self) -> &[String] {
         match self {
             Self::Benchmark(settings) => &settings.scenes,
-            Self::Render(_) | Self::Build(_) => &[],
+            Self::Render(_) | Self::Build(_) | Self::Compare(_) => &[],
+        }
+    }
+
+    /// Blobs that they name.
+    pub fn blobs(&self) -> Vec<&str> {
+        match self {
+            Self::Render(settings) => match &settings.environment {
+                Some(Environment::Map(map)) => vec![&map.map],
+                _ => Vec::new(),
+            },
+            Self::Compare(request) => {
+                [&request.a, &request.b].into_iter().filter_map(|one| one.blob.as_deref()).collect()
+            }
+            Self::Benchmark(_) | Self::Build(_) => Vec::new(),
         }
     }
 }
@@ -110,6 +131,8 @@ impl<'de> Deserialize<'de> for JobSettings {
         let has = |field: &str| value.get(field).is_some();
         let kind = if has("repetitions") {
             JobKind::Benchmark
+        } else if has("a") && has("b") {
+            JobKind::Compare
         } else if has("integrator") || !has("acceleration") {
             JobKind::Render
         } else {

@@ -12,7 +12,9 @@ use bytes::Bytes;
 use futures::TryStreamExt;
 use lightshaft_api::blob::is_hash;
 use lightshaft_api::compare::{CompareRequest, Compared, ComparedPicture, PictureChoice};
+use lightshaft_api::job::NewJob;
 use lightshaft_api::problem::FieldError;
+use lightshaft_api::settings::JobSettings;
 use lightshaft_compare::Options;
 use lightshaft_engine::film::COLOR;
 
@@ -20,9 +22,9 @@ use super::pictures::escape;
 use super::{App, multipart};
 use crate::blob::Staged;
 use crate::error::{ApiError, ApiResult};
-use crate::picture::PictureError;
-use crate::picture::compare::{self as comparing, Bounds, Figures, Pixels};
 use crate::web::body::parse;
+use lightshaft_worker::picture::PictureError;
+use lightshaft_worker::picture::compare::{self as comparing, Bounds, Figures, Pixels};
 
 /// Comparisons that are kept.
 const KEPT: usize = 16;
@@ -155,7 +157,7 @@ impl App {
     /// Compares two pictures. Uploaded ones are kept as blobs, a week at least.
     pub async fn compare(&self, wanted: &CompareRequest, uploads: UploadedPictures) -> ApiResult<Compared> {
         self.check_running()?;
-        let mut errors = wrong_figures(wanted);
+        let mut errors = wanted.validate("");
         let mut pictures = Vec::new();
         for (side, choice, upload) in [(Side::A, &wanted.a, uploads.a), (Side::B, &wanted.b, uploads.b)] {
             match self.find_picture(choice, upload).await? {
@@ -169,10 +171,10 @@ impl App {
         let (true, Ok([a, b])) = (errors.is_empty(), <[ComparedPicture; 2]>::try_from(pictures)) else {
             return Err(ApiError::fields(errors));
         };
-        let hdr = wanted.hdr || wanted.max_hdr_flip.is_some();
+        let hdr = wanted.wants_hdr();
         let key = ComparisonKey { a, b, exposure: wanted.exposure, tolerance: wanted.tolerance, hdr };
         let found = self.find_or_compare(&key, Asked::Body).await?;
-        let bounds = Bounds { max_rmse: wanted.max_rmse, max_flip: wanted.max_flip, max_hdr_flip: wanted.max_hdr_flip };
+        let bounds = Bounds::of(wanted);
         Ok(Compared {
             report: comparing::report(&found.figures, bounds),
             heat_map: key.href(HEAT_MAP),
@@ -181,6 +183,42 @@ impl App {
             a: key.a,
             b: key.b,
         })
+    }
+
+    /// A job that compares, with the blobs of its pictures filled in, which stay what they are, and with the scene of a job
+    /// whose picture it is, where it names none; or what is wrong with it.
+    pub(super) async fn with_pictures(
+        &self,
+        new: &NewJob,
+        request: &CompareRequest,
+    ) -> ApiResult<Result<NewJob, Vec<FieldError>>> {
+        let (mut found, mut errors) = (request.clone(), Vec::new());
+        let mut scene = Some(new.scene.clone()).filter(|scene| !scene.is_empty());
+        for (side, choice) in [(Side::A, &mut found.a), (Side::B, &mut found.b)] {
+            let pointer = format!("/settings/{}", side.name());
+            if choice.job.is_none() && choice.blob.is_none() {
+                errors.push(FieldError::new(pointer, "must name a job or a blob"));
+                continue;
+            }
+            match self.find_picture(choice, None).await? {
+                Ok(hash) => choice.blob = Some(hash),
+                Err((field, detail)) => errors.push(FieldError::new(format!("{pointer}{field}"), detail)),
+            }
+            if let (None, Some(job)) = (&scene, &choice.job) {
+                scene = self.store.job(job).await?.map(|job| job.summary.scene);
+            }
+        }
+        match scene {
+            Some(scene) if errors.is_empty() => {
+                let settings = JobSettings::Compare(Box::new(found));
+                return Ok(Ok(NewJob { scene, settings, ..new.clone() }));
+            }
+            None if errors.is_empty() => {
+                errors.push(FieldError::new("/scene", "must name a scene: neither picture is a job's"));
+            }
+            _ => {}
+        }
+        Ok(Err(errors))
     }
 
     /// The FLIP or HDR-FLIP error of every pixel as a PNG, with a scale bar beside it or alone.
@@ -215,8 +253,12 @@ impl App {
                 None => wrong("/blob", "is not in the blob store"),
             },
             (None, None, Some(job)) => self.find_artifact(job, choice.artifact.as_deref()).await,
+            (None, Some(blob), Some(job)) => match self.find_artifact(job, choice.artifact.as_deref()).await? {
+                Ok(hash) if hash != *blob => wrong("/blob", "must be that of the job's artifact, or left out"),
+                found => Ok(found),
+            },
             (None, None, None) => wrong("", "must name a job or a blob, or be sent as a part of multipart/form-data"),
-            _ => wrong("", "must be one of these: a job, a blob, a part of multipart/form-data"),
+            _ => wrong("", "must be one of these: a job or a blob, or a part of multipart/form-data"),
         }
     }
 
@@ -275,22 +317,4 @@ impl App {
         });
         worked.await.map_err(ApiError::internal)?.map_err(|(side, error)| asked.problem(side, &error))
     }
-}
-
-/// Whether an exposure is one that pictures are shown with.
-pub(crate) fn is_exposure(stops: f32) -> bool {
-    (-32.0..=32.0).contains(&stops)
-}
-
-fn wrong_figures(wanted: &CompareRequest) -> Vec<FieldError> {
-    let not_negative = "must be a number of at least 0";
-    let limit = |limit: Option<f64>| limit.is_none_or(|limit| limit.is_finite() && limit >= 0.0);
-    let checks = [
-        (is_exposure(wanted.exposure), "/exposure", "must be -32 to 32 stops"),
-        (wanted.tolerance.is_finite() && wanted.tolerance >= 0.0, "/tolerance", not_negative),
-        (limit(wanted.max_rmse), "/max_rmse", not_negative),
-        (limit(wanted.max_flip), "/max_flip", not_negative),
-        (limit(wanted.max_hdr_flip), "/max_hdr_flip", not_negative),
-    ];
-    checks.into_iter().filter(|check| !check.0).map(|(_, pointer, detail)| FieldError::new(pointer, detail)).collect()
 }

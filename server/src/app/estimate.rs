@@ -23,11 +23,12 @@ impl App {
         summary: &SceneSummary,
         settings: &JobSettings,
     ) -> ApiResult<Estimate> {
-        let scene_bytes = summary.estimated_bytes;
+        // Pictures are compared without the scene.
+        let scene_bytes = if matches!(settings, JobSettings::Compare(_)) { 0 } else { summary.estimated_bytes };
         let (acceleration, picture_bytes) = match settings {
             JobSettings::Render(settings) => (Some(&settings.acceleration), picture_bytes(settings)),
             JobSettings::Build(settings) => (Some(&settings.acceleration), 0),
-            JobSettings::Benchmark(_) => (None, 0),
+            JobSettings::Benchmark(_) | JobSettings::Compare(_) => (None, 0),
         };
         let line_space_bytes = acceleration.and_then(|acceleration| of_line_spaces(acceleration, summary));
         let measured = match settings {
@@ -35,11 +36,11 @@ impl App {
                 let recent = self.store.measurements(settings.integrator, MOST_JOBS).await?;
                 like_it(recent, scene, settings.device)
             }
-            JobSettings::Benchmark(_) | JobSettings::Build(_) => None,
+            JobSettings::Benchmark(_) | JobSettings::Build(_) | JobSettings::Compare(_) => None,
         };
         let samples = match settings {
             JobSettings::Render(s) => f64::from(s.width) * f64::from(s.height) * f64::from(s.spp),
-            JobSettings::Benchmark(_) | JobSettings::Build(_) => 0.0,
+            JobSettings::Benchmark(_) | JobSettings::Build(_) | JobSettings::Compare(_) => 0.0,
         };
         Ok(Estimate {
             scene_bytes,

@@ -55,7 +55,7 @@ impl App {
         }
         // From the look at the map to the job that names it.
         let in_use = self.blob_use.read().await;
-        self.check_job(new).await?;
+        let new = &self.checked_job(new).await?;
         let record = JobRecord {
             id: Uuid::now_v7().to_string(),
             scene: new.scene.clone(),
@@ -87,7 +87,7 @@ impl App {
     }
 
     pub async fn validate_job(&self, new: &NewJob) -> ApiResult<ValidatedJob> {
-        self.check_job(new).await?;
+        let new = &self.checked_job(new).await?;
         let job = NewJob { max_attempts: new.max_attempts.or(Some(DEFAULT_MAX_ATTEMPTS)), ..new.clone() };
         // A scene that was deleted since then is refused when the job is made.
         let scene = self.store.scene(&new.scene).await?.ok_or_else(|| ApiError::not_found("scene", &new.scene))?;
@@ -295,9 +295,17 @@ impl App {
         })
     }
 
-    async fn check_job(&self, new: &NewJob) -> ApiResult<()> {
-        let errors = self.job_errors(new).await?;
-        if errors.is_empty() { Ok(()) } else { Err(ApiError::fields(errors)) }
+    /// The job with everything that the service fills in.
+    async fn checked_job(&self, new: &NewJob) -> ApiResult<NewJob> {
+        let job = match &new.settings {
+            JobSettings::Compare(request) => match self.with_pictures(new, request).await? {
+                Ok(job) => job,
+                Err(errors) => return Err(ApiError::fields([new.validate(), errors].concat())),
+            },
+            _ => new.clone(),
+        };
+        let errors = self.job_errors(&job).await?;
+        if errors.is_empty() { Ok(job) } else { Err(ApiError::fields(errors)) }
     }
 
     /// Everything that is wrong with a job, also by its scene and its blobs.
@@ -329,7 +337,7 @@ impl App {
                     errors.extend(scenes.iter().find_map(|scene| check_camera(&pointer, view, scene)));
                 }
             }
-            JobSettings::Build(_) => {}
+            JobSettings::Build(_) | JobSettings::Compare(_) => {}
         }
         Ok(errors)
     }

@@ -27,7 +27,6 @@ use tokio::sync::{RwLock, Semaphore, broadcast, watch};
 use tokio_util::sync::CancellationToken;
 
 use self::compare::Comparisons;
-pub(crate) use self::compare::is_exposure;
 pub use self::compare::{ComparisonKey, UploadedPictures};
 use self::demand::RollCall;
 pub use self::events::EventStream;

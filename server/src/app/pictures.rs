@@ -9,8 +9,8 @@ use tokio::sync::SemaphorePermit;
 
 use super::App;
 use crate::error::{ApiError, ApiResult};
-use crate::picture::{Picture, PictureError, wire_kind};
 use crate::problems::Code;
+use lightshaft_worker::picture::{Picture, PictureError, wire_kind};
 
 /// Names of layers in addresses: RFC 3986's unreserved characters stay.
 const ESCAPED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use lightshaft_api::compare::CompareReport;
 use lightshaft_compare::Options;
 use lightshaft_engine::film::COLOR;
-use lightshaft_server::picture::compare::{Bounds, Pixels, heat_map_png, layers, report};
+use lightshaft_worker::picture::compare::{Bounds, Pixels, heat_map_png, layers, report};
 use serde_json::{Value, json};
 
 use super::error::{CliError, Result};

@@ -1,6 +1,9 @@
 //! Why a command ended badly, and the exit code that says so.
 
 use lightshaft_api::client::ClientError;
+use lightshaft_api::problem::FieldError;
+
+use super::output;
 
 #[derive(Debug)]
 pub(crate) struct CliError {
@@ -19,6 +22,15 @@ impl CliError {
     /// Wrong usage or input.
     pub(crate) fn usage(message: impl Into<String>) -> Self {
         Self { code: 2, message: message.into() }
+    }
+
+    /// Wrong fields, each by its name below `prefix`.
+    pub(crate) fn fields(errors: &[FieldError], prefix: &str) -> Self {
+        let named = |error: &FieldError| {
+            let name = error.pointer.strip_prefix(prefix).unwrap_or(&error.pointer);
+            format!("{name}: {}", error.detail)
+        };
+        Self::usage(output::printable(&errors.iter().map(named).collect::<Vec<_>>().join("; ")))
     }
 
     /// The service or the system failed.

@@ -186,6 +186,7 @@ mod tests {
             "lightshaft scene validate a.glb",
             "lightshaft scene delete s",
             "lightshaft job submit s --setting width=64 --wait --output out",
+            "lightshaft job submit --a j/image.png --b k --setting max_flip=0.1 --wait",
             "lightshaft job watch j",
             "lightshaft job list --state running",
             "lightshaft job show j",

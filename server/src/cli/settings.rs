@@ -6,7 +6,6 @@
 use std::path::PathBuf;
 
 use lightshaft_api::job::{JobKind, NewJob};
-use lightshaft_api::problem::FieldError;
 use lightshaft_api::settings::{JobSettings, RenderSettings};
 use serde_json::{Map, Value, json};
 
@@ -172,9 +171,10 @@ impl Chosen {
         self.set("environment", json!({ "map": hash }));
     }
 
+    /// Settings of a kind.
+    ///
     /// # Errors
     /// Names every field that is wrong.
-    /// Settings of a kind that are no picture's.
     pub(crate) fn finish_as(self, kind: JobKind) -> Result<JobSettings> {
         if kind == JobKind::Render {
             return self.finish().map(JobSettings::from);
@@ -188,10 +188,13 @@ impl Chosen {
             },
             Err(errors) => errors,
         };
-        let named = |e: &FieldError| format!("{}: {}", e.pointer.trim_start_matches("/settings/"), e.detail);
-        Err(CliError::usage(errors.iter().map(named).collect::<Vec<_>>().join("\n")))
+        Err(CliError::fields(&errors, "/settings/"))
     }
 
+    /// Settings of a picture.
+    ///
+    /// # Errors
+    /// Names every field that is wrong.
     pub(crate) fn finish(self) -> Result<RenderSettings> {
         let errors = match lightshaft_api::read::from_value::<RenderSettings>(Value::Object(self.json)) {
             Err(errors) => errors,
@@ -203,8 +206,7 @@ impl Chosen {
                 errors
             }
         };
-        let lines = errors.iter().map(|error| format!("{}: {}", error.pointer.trim_start_matches('/'), error.detail));
-        Err(CliError::usage(format!("settings: {}", lines.collect::<Vec<_>>().join("; "))))
+        Err(CliError::fields(&errors, "/"))
     }
 }
 

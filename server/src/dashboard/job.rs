@@ -13,7 +13,7 @@ use lightshaft_api::settings::{Effect, JobSettings, RenderSettings};
 
 use super::client::{Api, escape};
 use super::page::{Page, PageError};
-use super::{benchmark, filters, form};
+use super::{benchmark, comparison, filters, form};
 
 /// A job in a list, with the times that its pages show.
 pub(super) struct JobRow {
@@ -68,7 +68,9 @@ impl JobCard {
             is_render: matches!(job.settings, JobSettings::Render(_)),
             settings: match job.settings {
                 JobSettings::Render(settings) => *settings,
-                JobSettings::Benchmark(_) | JobSettings::Build(_) => RenderSettings::default(),
+                JobSettings::Benchmark(_) | JobSettings::Build(_) | JobSettings::Compare(_) => {
+                    RenderSettings::default()
+                }
             },
             row: JobRow { job: job.summary },
         }
@@ -93,6 +95,7 @@ fn about(settings: &JobSettings) -> String {
         }
         JobSettings::Benchmark(settings) => format!("benchmark: {}", settings.describe()),
         JobSettings::Build(settings) => format!("build: {}", settings.acceleration.describe()),
+        JobSettings::Compare(request) => format!("comparing {}", request.describe()),
     }
 }
 
@@ -179,6 +182,7 @@ struct JobPage {
     tasks: Vec<TaskRow>,
     measured: Option<Measured>,
     found: Option<benchmark::Found>,
+    compared: Option<comparison::Found>,
     settings: Vec<(&'static str, Vec<(String, String)>)>,
     settings_json: String,
     artifacts: Vec<Artifact>,
@@ -195,6 +199,7 @@ pub(super) async fn show(api: Api, Path(id): Path<String>) -> Result<Response, P
         waiting: job.waiting.take(),
         tasks: task_rows(&job),
         found: benchmark::Found::of(&api, &job).await?,
+        compared: comparison::Found::of(&api, &job).await?,
         settings: summary(&job.settings, scene.as_ref()),
         settings_json: serde_json::to_string_pretty(&job.settings).unwrap_or_default(),
         measured: job.metrics.take().map(Measured::new),
@@ -209,6 +214,16 @@ fn summary(settings: &JobSettings, scene: Option<&Scene>) -> Vec<(&'static str, 
     let row = |label: &str, value: String| (label.to_owned(), value);
     match settings {
         JobSettings::Render(settings) => form::summary(settings, scene),
+        JobSettings::Compare(request) => {
+            let limits = [("RMSE", request.max_rmse), ("FLIP", request.max_flip), ("HDR-FLIP", request.max_hdr_flip)];
+            let limits =
+                limits.into_iter().filter_map(|(name, limit)| Some(row(&format!("Most {name}"), limit?.to_string())));
+            let mut rows = vec![row("Reference", request.a.describe()), row("Compared with it", request.b.describe())];
+            rows.push(row("Exposure", format!("{} stops", request.exposure)));
+            rows.push(row("Tolerance", request.tolerance.to_string()));
+            rows.extend(limits);
+            vec![("Comparison", rows)]
+        }
         JobSettings::Build(settings) => vec![("Build", vec![row("Structures", settings.acceleration.describe())])],
         JobSettings::Benchmark(settings) => {
             let effects: Vec<String> = settings.effects.iter().map(Effect::describe).collect();
@@ -253,5 +268,6 @@ fn describe(work: &TaskWork) -> String {
         TaskWork::Merge => "Put the parts together".to_owned(),
         TaskWork::Benchmark => "The whole benchmark".to_owned(),
         TaskWork::Build => "All structures".to_owned(),
+        TaskWork::Compare => "The whole comparison".to_owned(),
     }
 }

@@ -29,6 +29,7 @@ mod assets;
 mod benchmark;
 mod client;
 mod compare;
+mod comparison;
 mod farm;
 mod filters;
 mod form;

@@ -71,7 +71,9 @@ pub(super) async fn show(api: Api, headers: HeaderMap, Query(start): Query<Start
     }
     let mut settings = match origin.as_ref().map(|job| &job.settings) {
         Some(JobSettings::Render(settings)) => (**settings).clone(),
-        Some(JobSettings::Benchmark(_) | JobSettings::Build(_)) | None => RenderSettings::default(),
+        Some(JobSettings::Benchmark(_) | JobSettings::Build(_) | JobSettings::Compare(_)) | None => {
+            RenderSettings::default()
+        }
     };
     if let Ok(camera) = start.camera.parse() {
         settings.camera = Some(CameraChoice::Index(camera));

@@ -9,6 +9,7 @@ pub fn plan(settings: &JobSettings) -> Vec<TaskWork> {
         JobSettings::Render(settings) => plan_render(settings),
         JobSettings::Benchmark(_) => vec![TaskWork::Benchmark],
         JobSettings::Build(_) => vec![TaskWork::Build],
+        JobSettings::Compare(_) => vec![TaskWork::Compare],
     }
 }
 
@@ -64,10 +65,11 @@ mod tests {
     }
 
     #[test]
-    fn a_benchmark_and_a_build_are_one_task() {
+    fn kinds_other_than_renders_are_one_task() {
         let of = |kind| plan(&JobSettings::default_of(kind));
         assert_eq!(of(JobKind::Benchmark), [TaskWork::Benchmark]);
         assert_eq!(of(JobKind::Build), [TaskWork::Build]);
+        assert_eq!(of(JobKind::Compare), [TaskWork::Compare]);
         assert_eq!(of(JobKind::Render), [TaskWork::Frame]);
     }
 

@@ -64,7 +64,7 @@ fn read_list_params(params: Vec<(String, String)>) -> ApiResult<(JobQuery, PageP
                 query.state = Some(JobState::from_name(&value).ok_or_else(|| wrong(expected))?);
             }
             "kind" => {
-                let expected = "must be render, benchmark or build";
+                let expected = "must be render, benchmark, build or compare";
                 query.kind = Some(JobKind::from_name(&value).ok_or_else(|| wrong(expected))?);
             }
             "scene" => query.scene = Some(value),

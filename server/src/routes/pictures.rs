@@ -6,13 +6,15 @@ use axum::extract::{FromRequest, Request, State};
 use axum::response::{IntoResponse, Response};
 use http::{HeaderMap, HeaderName};
 use lightshaft_api::blob::is_hash;
-use lightshaft_api::compare::{CompareRequest, Compared, ComparedPicture, PictureLayers, PixelValues, SampleForm};
+use lightshaft_api::compare::{
+    CompareRequest, Compared, ComparedPicture, PictureLayers, PixelValues, SampleForm, is_exposure,
+};
 use lightshaft_api::problem::Problem;
 use lightshaft_engine::film::COLOR;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::app::{ComparisonKey, RawLayer, Shared, UploadedPictures, is_exposure};
+use crate::app::{ComparisonKey, RawLayer, Shared, UploadedPictures};
 use crate::error::{ApiError, ApiResult};
 use crate::web::body::{Id, Ids, Json, Params, ThreeIds, media_type};
 use crate::web::file::{self, Binary, IMMUTABLE, REVALIDATE};

@@ -1,4 +1,4 @@
-//! Jobs that are no renders: benchmarks and builds.
+//! Jobs that are no renders: benchmarks, builds and comparisons.
 
 use http::StatusCode;
 use lightshaft_api::job::{Job, JobKind, JobSummary, TaskWork, ValidatedJob};
@@ -90,7 +90,6 @@ async fn mistakes_in_a_benchmark_are_named_with_their_place() {
     assert_eq!(check("build", json!({ "width": 3 })).await.pointers(), ["/settings/width"]);
     let policy = json!({ "acceleration": { "policy": "approximate_occlusion" } });
     assert_eq!(check("build", policy).await.pointers(), ["/settings/acceleration/policy"]);
-    assert_eq!(check("compare", json!({})).await.pointers(), ["/kind"]);
 }
 
 #[tokio::test]
@@ -103,4 +102,77 @@ async fn a_benchmark_that_demands_a_gpu_waits_for_one() {
     assert!(service.lease(&worker).await.is_none());
     let with_gpu = service.worker(&["cpu", "gpu"]).await;
     assert_eq!(service.lease(&with_gpu).await.unwrap().work, TaskWork::Benchmark);
+}
+
+/// A finished job that left this picture.
+async fn pictured(service: &Service, scene: &str, worker: &str, name: &str, content: &'static str) -> String {
+    let job = service.job(json!({ "scene": scene })).await.summary.id;
+    let lease = service.lease(worker).await.unwrap();
+    assert_eq!(service.complete(&lease, name, content).await.status, StatusCode::OK);
+    job
+}
+
+#[tokio::test]
+async fn a_comparison_names_its_blobs_and_the_scene_of_its_pictures() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let a = pictured(&service, &scene, &worker, "image.png", "one picture").await;
+    let b = pictured(&service, &scene, &worker, "image.exr", "another").await;
+    let settings = json!({ "a": { "job": a }, "b": { "job": b, "layer": "depth" }, "max_flip": 0.1 });
+    let job = service.job(json!({ "kind": "compare", "settings": settings })).await;
+    assert_eq!((job.summary.kind, job.summary.scene.as_str()), (JobKind::Compare, scene.as_str()));
+    let lease = service.lease(&worker).await.unwrap();
+    assert_eq!((&lease.work, &lease.job), (&TaskWork::Compare, &job.summary.id));
+    let JobSettings::Compare(request) = &lease.settings else { panic!("{:?}", lease.settings) };
+    let hash = |content: &str| Some(blake3::hash(content.as_bytes()).to_hex().to_string());
+    assert_eq!((&request.a.blob, &request.b.blob), (&hash("one picture"), &hash("another")));
+    assert_eq!((request.b.layer.as_deref(), request.max_flip), (Some("depth"), Some(0.1)));
+
+    // What it compares stays as long as it does, whatever becomes of the jobs.
+    for job in [&a, &b] {
+        assert_eq!(service.delete(&format!("/v1/jobs/{job}")).await.status, StatusCode::NO_CONTENT);
+    }
+    service.clock.advance(3_600_000);
+    service.app.delete_discarded().await.unwrap();
+    let picture = format!("/v1/blobs/{}", request.a.blob.as_ref().unwrap());
+    assert_eq!(service.get(&picture).await.status, StatusCode::OK);
+    assert_eq!(service.complete(&lease, "comparison.json", "{}").await.status, StatusCode::OK);
+    assert_eq!(service.delete(&format!("/v1/jobs/{}", job.summary.id)).await.status, StatusCode::NO_CONTENT);
+    service.clock.advance(3_600_000);
+    service.app.delete_discarded().await.unwrap();
+    assert_eq!(service.get(&picture).await.status, StatusCode::NOT_FOUND, "nothing names it any more");
+}
+
+#[tokio::test]
+async fn mistakes_in_a_comparison_are_named_with_their_place() {
+    let service = Service::start().await;
+    let scene = service.scene(0).await;
+    let worker = service.worker(&["cpu"]).await;
+    let job = pictured(&service, &scene, &worker, "image.png", "a picture").await;
+    let blob = blake3::hash(b"a picture").to_hex().to_string();
+    let check = async |body: Value| {
+        let mut body = body;
+        body["kind"] = json!("compare");
+        service.post("/v1/jobs?validate_only=true", body).await
+    };
+    let both = json!({ "job": job, "blob": blob });
+    let good = check(json!({ "settings": { "a": both, "b": { "blob": blob } } })).await;
+    assert_eq!(good.status, StatusCode::OK, "{}", String::from_utf8_lossy(&good.body));
+    assert_eq!(good.json::<ValidatedJob>().job.scene, scene);
+    let wrong_hash = blob.replace(&blob[..1], if blob.starts_with('0') { "1" } else { "0" });
+    for (settings, pointers) in [
+        (json!({}), vec!["/settings/a", "/settings/b"]),
+        (json!({ "a": { "job": "none" }, "b": { "blob": "x" } }), vec!["/settings/a/job", "/settings/b/blob"]),
+        (json!({ "a": { "job": job, "artifact": "x.png" }, "b": both }), vec!["/settings/a/artifact"]),
+        (json!({ "a": { "job": job, "blob": wrong_hash }, "b": both }), vec!["/settings/a/blob"]),
+        (json!({ "a": { "blob": blob }, "b": { "blob": blob } }), vec!["/scene"]),
+        (json!({ "a": both, "b": both, "max_flip": -1 }), vec!["/settings/max_flip"]),
+        (json!({ "a": both, "b": both, "spp": 1 }), vec!["/settings/spp"]),
+    ] {
+        assert_eq!(check(json!({ "settings": settings })).await.pointers(), pointers, "{settings}");
+    }
+    let with_scene = json!({ "scene": scene, "settings": { "a": { "blob": blob }, "b": { "blob": blob } } });
+    assert_eq!(check(with_scene).await.status, StatusCode::OK);
+    assert_eq!(service.post("/v1/jobs", json!({ "settings": {} })).await.pointers(), ["/scene"], "of a render");
 }

@@ -240,7 +240,7 @@ async fn wrong_comparisons_name_every_field() {
             vec!["/a/job", "/b/artifact"],
         ),
         (json!({ "a": { "blob": "xyz" }, "b": { "blob": missing } }), vec!["/a/blob", "/b/blob"]),
-        (json!({ "a": { "blob": picture, "job": job }, "b": { "blob": picture } }), vec!["/a"]),
+        (json!({ "a": { "blob": picture, "job": job }, "b": { "blob": picture } }), vec!["/a/blob"]),
         (json!({ "a": { "blob": picture }, "b": { "blob": text } }), vec!["/b"]),
         (json!({ "a": { "blob": picture, "layer": "gamma" }, "b": { "blob": picture } }), vec!["/a/layer"]),
         (json!({ "a": { "blob": picture }, "b": { "blob": put(&service, png(8, 8)).await } }), vec!["/b"]),

@@ -5,6 +5,7 @@ mod bad_uploads;
 mod benchmarks;
 mod bisect;
 mod command_line;
+mod comparisons;
 mod dashboard;
 mod devices;
 mod documentation;

@@ -80,7 +80,7 @@ impl LeasedInputs {
         })
     }
 
-    fn blob(&self, hash: &str) -> Result<PathBuf, TaskError> {
+    pub(super) fn blob(&self, hash: &str) -> Result<PathBuf, TaskError> {
         let mut tries = Tries::new(&self.live, &self.stop);
         loop {
             let download = &mut |path: &Path| match self.wait(self.client.download_blob(hash, path)) {
@@ -222,7 +222,7 @@ impl Scenes for LeasedInputs {
     fn list(&self) -> Vec<SceneInput> {
         let table = match &self.lease.settings {
             JobSettings::Benchmark(settings) => settings.preset.and_then(|preset| load(preset).ok()),
-            JobSettings::Render(_) | JobSettings::Build(_) => None,
+            JobSettings::Render(_) | JobSettings::Build(_) | JobSettings::Compare(_) => None,
         };
         let own = &self.lease.scene;
         let mut listed = vec![SceneInput::named(&own.name, format!("{} ({})", own.name, own.id), table.as_ref())];

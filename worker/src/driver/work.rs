@@ -19,7 +19,7 @@ use super::stop::Stop;
 use super::tries::Tries;
 use crate::benchmark::BenchmarkOutputs;
 use crate::cache::BlobCache;
-use crate::executor::{Artifact, Executor, Outputs, TaskError};
+use crate::executor::{Artifact, Executor, Outputs, TaskError, compare};
 use crate::protocol::{Epoch, Input, Outcome};
 
 /// How long the report of a task waits for the structures that it has built to arrive at the service: whoever sees the
@@ -245,6 +245,13 @@ fn execute(
     match &lease.settings {
         JobSettings::Render(settings) => executor.run(&lease.work, settings, inputs, live, stop.flag()),
         JobSettings::Build(settings) => executor.build(settings, inputs, live, stop.flag()),
+        JobSettings::Compare(request) => {
+            let read = |hash: &str| {
+                let path = inputs.blob(hash)?;
+                std::fs::read(path).map_err(|error| TaskError::worker(format!("blob {hash} cannot be read: {error}")))
+            };
+            compare(request, lease.waited_s, read, live, stop.flag())
+        }
         JobSettings::Benchmark(settings) => {
             let BenchmarkOutputs { artifacts, mut metrics, .. } =
                 executor.benchmark(settings, inputs, live, stop.flag())?;

@@ -10,6 +10,7 @@
 
 mod build;
 mod cell_spaces;
+mod compare;
 mod devices;
 mod line_spaces;
 mod metrics;
@@ -32,6 +33,7 @@ use lightshaft_engine::scene::{ImportError, ImportErrorKind, Limits, Source};
 use crate::cache::{StructureCache, StructureStore};
 
 pub(crate) use cell_spaces::DEFAULT_CELL_DEPTH;
+pub use compare::{COMPARISON_JSON, HEAT_MAP_PNG, compare};
 pub(crate) use devices::Choice;
 pub use devices::Devices;
 pub(crate) use line_spaces::MIN_PRIMITIVES as MIN_LINE_SPACE_PRIMITIVES;
@@ -215,7 +217,7 @@ impl Executor {
             TaskWork::Frame | TaskWork::Tile { .. } | TaskWork::Pass { .. } => {
                 (self.render(&task, &mut metrics)?, Metrics::default())
             }
-            TaskWork::Benchmark | TaskWork::Build => {
+            TaskWork::Benchmark | TaskWork::Build | TaskWork::Compare => {
                 return Err(TaskError::bad_input(format!("a render has no task for {}", part::name(work))));
             }
         };
@@ -245,7 +247,9 @@ impl Executor {
                 (tile_within(full, Region { x, y, width, height })?, 0, ready.settings.spp)
             }
             TaskWork::Pass { first_sample, samples } => (full, first_sample, samples),
-            TaskWork::Frame | TaskWork::Merge | TaskWork::Benchmark | TaskWork::Build => (full, 0, ready.settings.spp),
+            TaskWork::Frame | TaskWork::Merge | TaskWork::Benchmark | TaskWork::Build | TaskWork::Compare => {
+                (full, 0, ready.settings.spp)
+            }
         };
         let mut part = Part {
             film: PassFilm::new(region),

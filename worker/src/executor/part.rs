@@ -42,6 +42,7 @@ pub fn name(work: &TaskWork) -> String {
         TaskWork::Merge => "a merge".into(),
         TaskWork::Benchmark => "a benchmark".into(),
         TaskWork::Build => "the structures".into(),
+        TaskWork::Compare => "a comparison".into(),
     }
 }
 
@@ -52,7 +53,7 @@ pub(super) fn order(works: &[TaskWork]) -> Vec<usize> {
     order.sort_by_key(|&index| match works[index] {
         TaskWork::Pass { first_sample, .. } => (first_sample, 0, 0),
         TaskWork::Tile { x, y, .. } => (0, y, x),
-        TaskWork::Frame | TaskWork::Merge | TaskWork::Benchmark | TaskWork::Build => (0, 0, 0),
+        TaskWork::Frame | TaskWork::Merge | TaskWork::Benchmark | TaskWork::Build | TaskWork::Compare => (0, 0, 0),
     });
     order
 }

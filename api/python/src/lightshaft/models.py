@@ -116,7 +116,7 @@ ImageVerdict = Literal["identical", "within_tolerance", "changed", "missing", "f
 
 Integrator = Literal["aov", "ao", "direct", "whitted", "path"]
 
-JobKind = Literal["render", "benchmark", "build"]
+JobKind = Literal["render", "benchmark", "build", "compare"]
 
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 
@@ -496,6 +496,29 @@ class CompareReport:
     rmse: float
     ssim: float
     width: int
+
+
+@dataclass(kw_only=True)
+class CompareRequest:
+    """Body of `POST /v1/compare`, and settings of a job of kind `compare`."""
+
+    #: The reference.
+    a: PictureChoice | dict[str, Any] | None = None
+    #: The picture to judge, of the same size.
+    b: PictureChoice | dict[str, Any] | None = None
+    #: Stops by which both are brightened before FLIP and SSIM, -32 to 32. Only for colour.
+    exposure: float | None = None
+    #: Whether HDR-FLIP is wanted too, and drawn by the heat map: of linear colour only (OpenEXR, Radiance). It takes
+    #: several exposures, and so many times as long as FLIP.
+    hdr: bool | None = None
+    #: Not passed when the mean FLIP error is above this.
+    max_flip: float | None = None
+    #: Not passed when the mean HDR-FLIP error is above this; as if `hdr` were set.
+    max_hdr_flip: float | None = None
+    #: Not passed when the root mean square error is above this.
+    max_rmse: float | None = None
+    #: Difference of a channel up to which a pixel counts as equal, in the layer's units.
+    tolerance: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -978,7 +1001,7 @@ class NewJob:
     max_attempts: int | None = None
     #: Higher runs first; -100 to 100.
     priority: int
-    #: Scene id.
+    #: Scene id. Of `compare` it may be left out where a picture is a job's: then it is that job's scene.
     scene: str
     #: Of the kind.
     settings: dict[str, Any]
@@ -1004,6 +1027,19 @@ class NewRun:
     scenes: dict[str, str]
     #: Id of a suite.
     suite: str
+
+
+@dataclass(kw_only=True)
+class PictureChoice:
+    """A picture: the artifact of a job, a blob, or (neither) the uploaded part of this name."""
+
+    #: Name of the job's artifact; `image.exr` by default, or `image.png` when there is none.
+    artifact: str | None = None
+    #: Hash of a blob, as answers name pictures; beside a job, that of its artifact.
+    blob: str | None = None
+    job: str | None = None
+    #: `color` by default. `GET /v1/jobs/{id}/artifacts/{name}/layers` lists what there is.
+    layer: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

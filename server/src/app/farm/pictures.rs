@@ -9,7 +9,7 @@ use lightshaft_api::job::Artifact;
 use super::super::App;
 use crate::error::{ApiError, ApiResult};
 use crate::farm::{Decoded, JudgedPicture, Known, judge_picture};
-use crate::picture::compare::{Pixels, difference_png, heat_map_png};
+use lightshaft_worker::picture::compare::{Pixels, difference_png, heat_map_png};
 
 /// Accepted pictures that one is compared with, the newest first: each takes a FLIP.
 const MOST_COMPARED: usize = 8;

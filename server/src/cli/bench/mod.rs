@@ -140,10 +140,11 @@ impl Args {
         put("picture_spp", self.picture_spp.map(Value::from));
         put("seed", self.seed.map(Value::from));
         put("min_sample_s", self.min_sample_s.map(Value::from));
-        let settings: BenchmarkSettings = read::from_value(Value::Object(json)).map_err(|errors| wrong(&errors))?;
+        let settings: BenchmarkSettings =
+            read::from_value(Value::Object(json)).map_err(|errors| CliError::fields(&errors, "/"))?;
         let errors = settings.validate("");
         if !errors.is_empty() {
-            return Err(wrong(&errors));
+            return Err(CliError::fields(&errors, "/"));
         }
         if !settings.scenes.is_empty() {
             return Err(CliError::usage("scenes: ids are of a service; here scenes are files, given by --scene"));
@@ -177,11 +178,6 @@ fn read_file(path: &Path) -> Result<Map<String, Value>> {
     })?;
     serde_json::from_str(&text)
         .map_err(|error| CliError::usage(format!("{shown}: not a JSON object of benchmark settings: {error}")))
-}
-
-fn wrong(errors: &[lightshaft_api::problem::FieldError]) -> CliError {
-    let lines = errors.iter().map(|error| format!("{}: {}", error.pointer.trim_start_matches('/'), error.detail));
-    CliError::usage(output::printable(&lines.collect::<Vec<_>>().join("; ")))
 }
 
 fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {

@@ -192,6 +192,7 @@ fn describe(job: &Job) -> String {
         }
         JobSettings::Benchmark(b) => line("benchmark", b.describe()),
         JobSettings::Build(b) => line("build", b.acceleration.describe()),
+        JobSettings::Compare(c) => line("comparing", c.describe()),
     }
     for (key, value) in &s.labels {
         line("label", format!("{key}={value}"));

@@ -2,25 +2,33 @@
 
 use std::path::{Path, PathBuf};
 
+use lightshaft_api::blob::is_hash;
 use lightshaft_api::client::Client;
 use lightshaft_api::job::{JobKind, NewJob};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::{Global, download, parse_labels, print_job, watch};
-use crate::cli::error::Result;
+use crate::cli::error::{CliError, Result};
 use crate::cli::settings::SettingsArgs;
 use crate::cli::{output, scene};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Id of an uploaded scene, or a file that is uploaded first.
-    scene: String,
-    /// render, benchmark or build; the settings of the last two come from --settings and --setting.
+    /// Id of an uploaded scene, or a file that is uploaded first. Of --kind compare it may be left out: then it is that of the
+    /// job whose picture is compared.
+    scene: Option<String>,
+    /// render, benchmark, build or compare; the settings of all but the first come from --settings and --setting.
     #[arg(long, default_value = "render", value_parser = parse_kind)]
     kind: JobKind,
     /// Submit this table of benchmarks: see `lightshaft bench --list`.
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
+    /// Compare with this: a job, a job's artifact (JOB/NAME), or a blob by its hash. As if --kind compare were given.
+    #[arg(long, value_name = "PICTURE", requires = "b")]
+    a: Option<String>,
+    /// Compare this with --a.
+    #[arg(long, value_name = "PICTURE", requires = "a")]
+    b: Option<String>,
     /// -100 to 100; higher runs first.
     #[arg(long, default_value_t = 0, allow_hyphen_values = true)]
     priority: i32,
@@ -47,11 +55,24 @@ pub(crate) struct Args {
 }
 
 fn parse_kind(name: &str) -> std::result::Result<JobKind, String> {
-    JobKind::from_name(name).ok_or_else(|| "must be render, benchmark or build".to_owned())
+    JobKind::from_name(name).ok_or_else(|| "must be render, benchmark, build or compare".to_owned())
+}
+
+/// A job, an artifact of one, or a blob.
+fn to_choice(picture: &str) -> Value {
+    match picture.split_once('/') {
+        Some((job, artifact)) => json!({ "job": job, "artifact": artifact }),
+        None if is_hash(picture) => json!({ "blob": picture }),
+        None => json!({ "job": picture }),
+    }
 }
 
 pub(crate) async fn run(args: &Args, client: &Client, global: &Global) -> Result<()> {
-    let kind = if args.preset.is_some() { JobKind::Benchmark } else { args.kind };
+    let kind = match (&args.preset, &args.a) {
+        (Some(_), _) => JobKind::Benchmark,
+        (None, Some(_)) => JobKind::Compare,
+        (None, None) => args.kind,
+    };
     let mut chosen = args.settings.read()?;
     if let Some(path) = chosen.environment_file.clone() {
         let blob = client.store_blob_file(&path).await?;
@@ -60,9 +81,18 @@ pub(crate) async fn run(args: &Args, client: &Client, global: &Global) -> Result
     if let Some(preset) = &args.preset {
         chosen.set("preset", json!(preset));
     }
+    for (side, picture) in [("a", &args.a), ("b", &args.b)] {
+        if let Some(picture) = picture {
+            chosen.set(side, to_choice(picture));
+        }
+    }
     let settings = chosen.finish_as(kind)?;
-    let path = Path::new(&args.scene);
-    let scene = if path.is_file() { scene::upload(client, path, None).await?.0.id } else { args.scene.clone() };
+    let scene = match &args.scene {
+        Some(file) if Path::new(file).is_file() => scene::upload(client, Path::new(file), None).await?.0.id,
+        Some(id) => id.clone(),
+        None if kind == JobKind::Compare => String::new(),
+        None => return Err(CliError::usage(format!("SCENE: a job of kind {} needs one", kind.as_str()))),
+    };
     let job = NewJob {
         kind,
         scene,

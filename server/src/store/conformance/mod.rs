@@ -295,6 +295,6 @@ suite! {
 fn picture(job: &mut JobRecord) -> &mut RenderSettings {
     match &mut job.settings {
         JobSettings::Render(settings) => settings,
-        JobSettings::Benchmark(_) | JobSettings::Build(_) => panic!("the job is no render"),
+        JobSettings::Benchmark(_) | JobSettings::Build(_) | JobSettings::Compare(_) => panic!("the job is no render"),
     }
 }

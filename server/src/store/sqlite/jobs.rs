@@ -2,7 +2,6 @@
 
 use lightshaft_api::event::EventKind;
 use lightshaft_api::job::{JobState, TaskWork};
-use lightshaft_api::settings::{Environment, JobSettings};
 use serde_json::json;
 use sqlx::{FromRow, SqliteExecutor};
 use uuid::Uuid;
@@ -174,17 +173,9 @@ pub(super) async fn is_scene_there(tx: &mut Tx, scene: &str) -> Result<bool> {
 }
 
 async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
-    let environment_blob = match &job.settings {
-        JobSettings::Render(settings) => match &settings.environment {
-            Some(Environment::Map(map)) => Some(&map.map),
-            _ => None,
-        },
-        JobSettings::Benchmark(_) | JobSettings::Build(_) => None,
-    };
     sqlx::query(
-        "INSERT INTO job (id, kind, scene_id, state, automatic, priority, max_attempts, settings, environment_blob,
-                          trace_id, created_at)
-         VALUES ($1, $10, $2, 'queued', $3, $4, $5, $6, $7, $8, $9)",
+        "INSERT INTO job (id, kind, scene_id, state, automatic, priority, max_attempts, settings, trace_id, created_at)
+         VALUES ($1, $9, $2, 'queued', $3, $4, $5, $6, $7, $8)",
     )
     .bind(&job.id)
     .bind(&job.scene)
@@ -192,13 +183,21 @@ async fn insert_job(tx: &mut Tx, job: &JobRecord, now: Millis) -> Result<()> {
     .bind(job.priority)
     .bind(job.max_attempts)
     .bind(to_json(&job.settings)?)
-    .bind(environment_blob)
     .bind(&job.trace_id)
     .bind(now)
     .bind(job.settings.kind().as_str())
     .execute(&mut **tx)
     .await
     .map_err(context("adding a job"))?;
+    for blob in job.settings.blobs() {
+        // The two pictures of a comparison may be one.
+        sqlx::query("INSERT INTO job_blob (job_id, blob) VALUES ($1, $2) ON CONFLICT DO NOTHING")
+            .bind(&job.id)
+            .bind(blob)
+            .execute(&mut **tx)
+            .await
+            .map_err(context("noting a job's blob"))?;
+    }
     for (key, value) in &job.labels {
         sqlx::query("INSERT INTO job_label (job_id, key, value) VALUES ($1, $2, $3)")
             .bind(&job.id)

@@ -158,7 +158,7 @@ impl SqliteStore {
                  OR EXISTS (SELECT 1 FROM structure WHERE blob = $1)
                  OR EXISTS (SELECT 1 FROM scene_file f JOIN scene s ON s.id = f.scene_id
                             WHERE f.blob = $1 AND s.deleted_at IS NULL)
-                 OR EXISTS (SELECT 1 FROM job WHERE environment_blob = $1)
+                 OR EXISTS (SELECT 1 FROM job_blob WHERE blob = $1)
                  OR EXISTS (SELECT 1 FROM farm_artifact WHERE blob = $1)
                  OR EXISTS (SELECT 1 FROM farm_accepted_file WHERE blob = $1)
                  OR EXISTS (SELECT 1 FROM farm_suite s, json_each(s.cases) c

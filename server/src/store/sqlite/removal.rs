@@ -61,7 +61,7 @@ impl SqliteStore {
 async fn read_blobs(tx: &mut Tx, job: &str) -> Result<Vec<String>> {
     sqlx::query_scalar(
         "SELECT blob FROM artifact WHERE job_id = $1
-         UNION SELECT environment_blob FROM job WHERE id = $1 AND environment_blob IS NOT NULL",
+         UNION SELECT blob FROM job_blob WHERE job_id = $1",
     )
     .bind(job)
     .fetch_all(&mut **tx)

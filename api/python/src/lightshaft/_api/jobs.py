@@ -17,6 +17,7 @@ from ..errors import JobFailedError, LightshaftError
 from ..models import (
     BenchmarkSettings,
     BuildSettings,
+    CompareRequest,
     Event,
     Job,
     JobKind,
@@ -29,7 +30,7 @@ from ..models import (
 from .base import Base, job_id, job_path
 
 #: What a job shall do: with its types, or as the API writes it.
-Settings = RenderSettings | BenchmarkSettings | BuildSettings | Mapping[str, Any]
+Settings = RenderSettings | BenchmarkSettings | BuildSettings | CompareRequest | Mapping[str, Any]
 
 
 class Jobs(Base):
@@ -37,7 +38,7 @@ class Jobs(Base):
 
     async def submit(
         self,
-        scene: str | Scene,
+        scene: str | Scene | None,
         settings: Settings | None = None,
         *,
         kind: JobKind | None = None,
@@ -47,6 +48,8 @@ class Jobs(Base):
         idempotency_key: str | None = None,
     ) -> Job:
         """Makes a job. The kind is that of the settings, `render` for a dictionary.
+
+        A comparison needs no scene where one of its pictures is a job's.
 
         Within a day, the same key gives the same job, so that a call that is repeated makes no second one. Without
         a key each call has one of its own.
@@ -59,7 +62,7 @@ class Jobs(Base):
 
     async def validate_job(
         self,
-        scene: str | Scene,
+        scene: str | Scene | None,
         settings: Settings | None = None,
         *,
         kind: JobKind | None = None,
@@ -199,15 +202,13 @@ class Jobs(Base):
         return await self._caller.content(Request("GET", f"{job_path(job)}/preview.png"))
 
 
-def _new_job(scene: str | Scene, settings: Settings | None, kind: JobKind | None) -> dict[str, Any]:
+def _new_job(scene: str | Scene | None, settings: Settings | None, kind: JobKind | None) -> dict[str, Any]:
     if kind is None:
-        of_settings = {BenchmarkSettings: "benchmark", BuildSettings: "build"}
+        of_settings = {BenchmarkSettings: "benchmark", BuildSettings: "build", CompareRequest: "compare"}
         kind_name: str = of_settings.get(type(settings), "render")
     else:
         kind_name = kind
-    scene_id = scene if isinstance(scene, str) else scene.id
-    return {
-        "kind": kind_name,
-        "scene": scene_id,
-        "settings": encode(settings if settings is not None else {}),
-    }
+    job = {"kind": kind_name, "settings": encode(settings if settings is not None else {})}
+    if scene is not None:
+        job["scene"] = scene if isinstance(scene, str) else scene.id
+    return job

@@ -7,7 +7,7 @@ use std::time::Instant;
 use lightshaft_compare::Options;
 use lightshaft_compare::timing::grouped_median;
 use lightshaft_engine::film::COLOR;
-use lightshaft_server::picture::compare::{Bounds, Pixels, layers, report};
+use lightshaft_worker::picture::compare::{Bounds, Pixels, layers, report};
 
 use super::repository::{Commit, Repository, WorkTree};
 use super::{Args, By, Trial};

@@ -1,6 +1,6 @@
 //! How far two layers are apart, as figures and as pictures.
 
-use lightshaft_api::compare::{CompareReport, HdrFlipFigures};
+use lightshaft_api::compare::{CompareReport, CompareRequest, HdrFlipFigures};
 use lightshaft_compare::{
     Differences, Drawing, Error, HdrFlip, Image, Options, Plane, Report, compare, differences, flip, hdr_flip,
     heat_map, heat_map_with_scale, psnr, ssim,
@@ -25,6 +25,12 @@ pub struct Bounds {
     pub max_rmse: Option<f64>,
     pub max_flip: Option<f64>,
     pub max_hdr_flip: Option<f64>,
+}
+
+impl Bounds {
+    pub fn of(request: &CompareRequest) -> Self {
+        Self { max_rmse: request.max_rmse, max_flip: request.max_flip, max_hdr_flip: request.max_hdr_flip }
+    }
 }
 
 /// Figures, and the FLIP error of every pixel.

@@ -1,5 +1,5 @@
 //! Pictures as files hold them: OpenEXR with its layers, Radiance .hdr, PNG and JPEG. One home for what the command
-//! `compare` and the service read and compare.
+//! `compare`, the service and jobs of kind `compare` read and compare.
 
 pub mod compare;
 
