@@ -138,6 +138,7 @@ impl Group {
 
 #[cfg(test)]
 mod tests {
+    use lightshaft_api::settings::{DeviceChoice, validate_acceleration};
     use lightshaft_engine::scene::KINDS;
 
     use super::*;
@@ -157,6 +158,11 @@ mod tests {
                 let has = |name: &String| group.configurations.iter().any(|c| c.name == *name);
                 assert_eq!(group.effect.is_some(), group.reference.is_some(), "{name}");
                 assert!(group.reference.as_ref().is_none_or(has), "{name}");
+                for row in &group.configurations {
+                    let acceleration = serde_json::from_value(row.acceleration.clone()).unwrap();
+                    let errors = validate_acceleration(&acceleration, DeviceChoice::Cpu, "");
+                    assert!(errors.is_empty(), "{name}: {}: {errors:?}", row.name);
+                }
                 for (scene, rows) in &group.paper {
                     assert!(table.scenes.iter().any(|known| known.name == *scene), "{name}: {scene}");
                     assert!(rows.keys().all(has), "{name}: {:?}", rows.keys());
