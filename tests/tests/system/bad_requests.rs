@@ -80,7 +80,7 @@ async fn every_wrong_field_of_a_job_is_named() {
     let many: Value = (0..33).map(|i| (format!("label-{i}"), json!("x"))).collect::<serde_json::Map<_, _>>().into();
     let cases = [
         (json!({"scene": scene, "kind": "dance"}), "/kind"),
-        (json!({"scene": scene, "kind": "compare"}), "/kind"),
+        (json!({"scene": scene, "kind": "compare"}), "/settings/a"),
         (json!({"scene": scene, "kind": "benchmark"}), "/settings/effects"),
         (json!({"scene": scene, "kind": "benchmark", "settings": {"preset": "keul-9.9"}}), "/settings/preset"),
         (json!({"scene": scene, "kind": "build", "settings": {"spp": 4}}), "/settings/spp"),

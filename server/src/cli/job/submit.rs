@@ -16,6 +16,7 @@ use crate::cli::{output, scene};
 pub(crate) struct Args {
     /// Id of an uploaded scene, or a file that is uploaded first. Of --kind compare it may be left out: then it is that of the
     /// job whose picture is compared.
+    #[arg(required_unless_present_any = ["a", "kind"])]
     scene: Option<String>,
     /// render, benchmark, build or compare; the settings of all but the first come from --settings and --setting.
     #[arg(long, default_value = "render", value_parser = parse_kind)]
